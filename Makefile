@@ -1,6 +1,7 @@
 # make demo  — everything from nothing: clips, training, evaluation, export, inference on a video file
 # make test  — lint and tests; make test-fast leaves the slow ones out; make acceptance judges whole systems, for minutes
 # make lock  — compiles constraints.txt from pyproject.toml (UPGRADE=--upgrade: with the newest versions)
+# make docs  — the documentation site, in site/, without a network but for its libraries
 # make bench — timings of networks and of whole videos (python -m benchmarks.inference)
 # make model — trains, calibrates and exports the contact posterior that comes along (docs/reports/identifiability.md)
 # make masks — trains the network that outlines instruments, on REAL=DIR of labelled pictures and drawn ones, and judges it
@@ -16,7 +17,7 @@ INSTALLED := .venv/.train
 TESTED := .venv/.dev
 JUDGED := .venv/.acceptance
 
-.PHONY: demo test test-fast acceptance lint lock bench model masks gan paper clean
+.PHONY: demo test test-fast acceptance lint lock docs bench model masks gan paper clean
 
 # A newer pip than the one that comes with Python is faster.
 $(INSTALLED): EXTRAS := train
@@ -80,6 +81,11 @@ demo: $(INSTALLED)
 	@$(BIN)/python -m benchmarks.compare_with_truth --results $(DEMO)/results/$(notdir $(VIDEO))-* || test $$? -eq 1  # 1: says why not
 	@echo
 	@echo "Look at the results in a browser: file://$(abspath $(DEMO)/results/index.html)"
+
+docs:
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt $$($(BIN)/python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['docs'])")
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.inference
@@ -147,4 +153,4 @@ paper: $(INSTALLED)
 	$(subst fit,test,$(REPRODUCE)) --ckpt_path best
 
 clean:
-	rm -rf .venv runs build *.egg-info
+	rm -rf .venv runs build site *.egg-info

@@ -28,10 +28,11 @@ from benchmarks.harness import Measurements, Report, Row, run
 from palpate.api import open_clip
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import COMBINATIONS, NINETY, REPORTED
+from palpate.estimators.estimate import COMBINATIONS, REPORTED
 from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
+from palpate.physics.identifiability import NINETY
 
 TRUTH = ".truth.json"
 """Ending of the files of truth."""

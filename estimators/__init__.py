@@ -1,6 +1,7 @@
 """From prepared frames to estimates of θ, or of a field of stiffness: four estimators behind one contract.
 
 contract        Estimator and Session: opened once, a session a clip; open: an estimator by its name
+result          base of results: quantities with intervals, fields that are columns of tables
 estimate        θ with its uncertainty and verdict; records: of a frame and of a run of contact
 network         a posterior for every frame; gan: the parameter network of the generator
 direct          the simulator fitted to every run of contact

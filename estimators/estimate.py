@@ -1,13 +1,13 @@
-"""What an estimator says of θ, and how well that is known."""
+"""Parameters θ of a press: what an estimator says of them, and how well they are known."""
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
-from palpate.physics.identifiability import LIMIT, NINETY, bounds, combination_bounds, verdict
+from palpate.estimators.result import Quantity, column
+from palpate.physics.identifiability import LIMIT, bounds, combination_bounds, verdict
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import PARAMETERS
 
@@ -23,9 +23,56 @@ COMBINATIONS = {
 REPORTED = tuple(name for name in COMBINATIONS if name != "force_over_damping")
 """Those with numbers of their own; F/k_d follows from them, and only whether it is determined is said."""
 SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F|/k_d"), strict=True))
-LEAST_SKILL = 0.35
-"""Of a grip's model: instruments that pass over tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
 BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
+
+
+@dataclass(frozen=True)
+class PressNumbers:
+    """Columns of a press."""
+
+    stiffness: Quantity | None = column("k_s", None)
+    damping: Quantity | None = column("k_d", None)
+    force: Quantity | None = column("|F|", None)
+    damping_over_stiffness: Quantity | None = column("k_d/k_s", None)
+    force_over_stiffness: Quantity | None = column("|F|/k_s", None)
+    stiffness_bound: float | None = column("", None)
+    """Cramér–Rao bound on the sd of log k_s (0.1: 10 %), were the onset known"""
+    damping_bound: float | None = column("", None)
+    """Cramér–Rao bound on the sd of log k_d (0.1: 10 %), were the onset known"""
+    force_bound: float | None = column("", None)
+    """Cramér–Rao bound on the sd of log |F| (0.1: 10 %), were the onset known"""
+
+
+@dataclass(frozen=True)
+class PressCourse:
+    """How and when the instrument pressed, as far as that was fitted."""
+
+    delay_s: float | None = column("", None)
+    """s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate"""
+    release_delay_s: float | None = column("", None)
+    """s from the first frame after contact to the end of the press; empty: the same, or not observed"""
+    at_end: bool = False
+    """Whether a delay lies at its range's end."""
+    shape: PressShape | None = None
+    """Patch, direction and course of the press; None = taken to be a step on one vertex."""
+    view_angle: float | None = None
+    """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
+    known."""
+
+    @property
+    def delays(self) -> tuple[float, float]:
+        """Both delays [s], 0 where they were not fitted."""
+        return self.delay_s or 0.0, self.release_delay_s or 0.0
+
+
+@dataclass(frozen=True)
+class LightFit:
+    """What a fit to the light of the tissue leaves."""
+
+    left: float = np.nan
+    """Share of the change of light that the model leaves, root mean square."""
+    lag: float = 0.0
+    """Lag of coded pictures behind the light [levels of 8 bits]; 0 where that lies within 90 % of none."""
 
 
 class NoEstimate(ValueError):
@@ -33,7 +80,7 @@ class NoEstimate(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class PressResult:
     """θ and how well it is known."""
 
     theta: np.ndarray
@@ -42,13 +89,13 @@ class Estimate:
     """Covariance of φ = (log k_s, log k_d, log |F|), shape [3, 3]; None from an estimator that gives none."""
     information: np.ndarray | None = None
     """Fisher information of φ from the observed motion, at `theta`, shape [3, 3]."""
-    noise: float = math.nan
+    noise: float = np.nan
     """Standard deviation of every observed coordinate [scene units]."""
-    misfit: float = math.nan
+    misfit: float = np.nan
     """Root mean square of observed minus simulated displacement along the force over `noise`: 1 where the model
     explains the data. Not across it, where a measured normal that is off by a few degrees (8-bit depth) tells more than
     the tissue; so a sideways motion that the model can't explain is not determined."""
-    largest_misfit: float = math.inf
+    largest_misfit: float = np.inf
     """Beyond it the model does not explain the motion."""
     at_bound: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3, bool))
     """Whether a parameter lies at its range's end, shape [3], bool."""
@@ -57,22 +104,9 @@ class Estimate:
     `covariance`. Not that at `theta`: where an estimate is badly known, so is the information at it."""
     given_verdict: str = ""
     """Verdict of an estimator that knows no uncertainty: `onset_in_view` or `undetermined`."""
-    delays: tuple[float, ...] = ()
-    """Fitted times from the first frame in contact to the beginning of the press, and from the first one after it to
-    its end [s]; none of either that was not fitted."""
-    delays_at_end: bool = False
-    """Whether one of them lies at its range's end."""
-    shape: PressShape | None = None
-    """Patch, direction and course of the press where they were fitted; None = taken to be a step on one vertex."""
-    view_angle: float | None = None
-    """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
-    known."""
-    by_light: bool = False
-    """Whether the light of the tissue was observed instead of its depth, so that lengths count in its distance."""
-    left: float = math.nan
-    """Share of the change of light that the model leaves, root mean square; not a number where no light is fitted."""
-    lag: float = 0.0
-    """How far coded pictures lag behind the light [levels of 8 bits]; 0 where that lies within 90 % of none."""
+    course: PressCourse = PressCourse()
+    light: LightFit | None = None
+    """Fit to the tissue's light, observed instead of its depth: lengths count in its distance; None = by depth."""
     refuted: str = ""
     """Sentence on another model that explains the motion better; empty where none is known."""
 
@@ -104,7 +138,7 @@ class Estimate:
         """What verdict and numbers alone don't say."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
-        return BY_LIGHT * self.by_light
+        return BY_LIGHT if self.light else ""
 
     @property
     def verdict_information(self) -> np.ndarray:
@@ -126,26 +160,18 @@ class Estimate:
             self, covariance=self.covariance + added, expected_information=(expected + expected.T) / 2
         )
 
-    def numbers(self) -> dict[str, Any]:
-        """Every REPORTED combination with its log-normal standard deviation, 90 % interval and bound, and the verdict.
+    def quantity(self, name: str) -> Quantity | None:
+        """One of the COMBINATIONS; None where it is a ratio to a parameter that is 0."""
+        row = np.array(COMBINATIONS[name])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = float(np.prod(np.abs(self.theta) ** row))
+        # Rounding may leave the variance of a well known ratio of badly known parameters below 0.
+        log_sd = None if self.covariance is None else float(np.sqrt(max(row @ self.covariance @ row, 0.0)))
+        return Quantity(value, log_sd) if np.isfinite(value) else None
 
-        What the estimator does not give is missing, and so is a ratio to a parameter that is 0.
-        """
-        found: dict[str, Any] = {"verdict": self.verdict, "determined": ";".join(self.determined)}
-        for name in REPORTED:
-            row = np.array(COMBINATIONS[name])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                value = float(np.prod(np.abs(self.theta) ** row))
-            if not math.isfinite(value):
-                continue
-            found[name] = value
-            if self.covariance is not None:
-                # Rounding may leave the variance of a well known ratio of badly known parameters below 0.
-                log_sd = math.sqrt(max(row @ self.covariance @ row, 0.0))
-                found[f"{name}_sd"] = float(value * np.exp(log_sd**2 / 2) * np.sqrt(np.expm1(log_sd**2)))
-                found[f"{name}_low"] = float(value * np.exp(-NINETY * log_sd))
-                found[f"{name}_high"] = float(value * np.exp(NINETY * log_sd))
-        if self.information is not None:
-            limits = bounds(self.information)
-            found |= {f"{name}_bound": float(limit) for name, limit in zip(PARAMETERS, limits, strict=True)}
-        return found
+    @property
+    def numbers(self) -> PressNumbers:
+        """Columns of the press; what the estimator does not give is missing."""
+        limits = () if self.information is None else zip(PARAMETERS, bounds(self.information).tolist(), strict=True)
+        found: dict[str, Any] = {name: self.quantity(name) for name in REPORTED}
+        return PressNumbers(**found | {f"{name}_bound": limit for name, limit in limits})

@@ -19,10 +19,10 @@ import numpy as np
 from palpate.data.clip import ClipStream
 from palpate.data.depth.sources import FARTHEST, NEAREST
 from palpate.data.source.layout import InputError
-from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, fit_factor
 from palpate.estimators.records import InteractionEstimate
-from palpate.physics.identifiability import LIMIT, covariance
+from palpate.physics.identifiability import LIMIT, NINETY, covariance
 from palpate.physics.mechanics import PARAMETERS
 
 SHEET_FACTOR = 0.75

@@ -15,7 +15,7 @@ from palpate.data.contact.geometry import force_direction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressResult
 from palpate.estimators.model_settings import ModelEstimator, ModelSettings
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, finite, force_arrow, frame_estimate
@@ -117,7 +117,7 @@ class GanSession(RunSession):
                 path = simulate(theta, contact.mesh, press, mechanics)
             lengths = finite(float(np.linalg.norm(path[-1]))), finite(float(np.linalg.norm(current.displacement)))
             arrow = force_arrow(theta, contact, self.clip, self.estimator.bounds, direction)
-            found = Estimate(theta, given_verdict=_verdict(self._contacts))
+            found = PressResult(theta, given_verdict=_verdict(self._contacts))
             yield frame_estimate(current, self.clip, found, lengths=lengths, arrow=arrow)
         else:
             yield frame_estimate(current, self.clip)
@@ -132,7 +132,7 @@ class GanSession(RunSession):
         if run.builder is None or run.passed:
             yield run.estimate(detail=run.unobserved)
             return
-        found = Estimate(np.exp(logs) * SIGNS, given_verdict="undetermined")
+        found = PressResult(np.exp(logs) * SIGNS, given_verdict="undetermined")
         yield run.estimate(interaction=run.builder.build(self.mechanics), estimate=found, detail=run.detail)
 
 

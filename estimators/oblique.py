@@ -9,7 +9,7 @@ doesn't always reveal that: softer, less deeply pressed tissue may explain it as
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressResult
 from palpate.physics.identifiability import box_information
 
 LARGEST_ANGLE = 5.0
@@ -31,22 +31,23 @@ def view_angle(contact: Interaction) -> float:
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(ray, direction)), np.abs(ray @ direction))))
 
 
-def is_oblique(estimate: Estimate) -> bool:
+def is_oblique(estimate: PressResult) -> bool:
     """Whether the estimate's contact is pressed so far from the line of sight that its dent may hide itself."""
-    return estimate.view_angle is not None and estimate.view_angle > LARGEST_ANGLE
+    angle = estimate.course.view_angle
+    return angle is not None and angle > LARGEST_ANGLE
 
 
-def effective_misfit(estimate: Estimate) -> float:
+def effective_misfit(estimate: PressResult) -> float:
     """The estimate's misfit, or that of the expected hidden error of an oblique contact where it is larger."""
     return max(estimate.misfit, HIDDEN_ERROR / estimate.noise) if is_oblique(estimate) else estimate.misfit
 
 
-def remark(estimate: Estimate) -> str:
+def remark(estimate: PressResult) -> str:
     """A sentence on an oblique contact, empty for any other."""
-    return OBLIQUE.format(estimate.view_angle) if is_oblique(estimate) else ""
+    return OBLIQUE.format(estimate.course.view_angle) if is_oblique(estimate) else ""
 
 
-def widened(estimate: Estimate, misfit: float, box: np.ndarray) -> Estimate:
+def widened(estimate: PressResult, misfit: float, box: np.ndarray) -> PressResult:
     """The estimate and its verdict with the covariance of a noise `misfit` times as large, within the box, added.
 
     Args:

@@ -6,7 +6,7 @@ from pathlib import Path
 from palpate.common.settings import fits
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, read_mapping
-from palpate.estimators.estimate import NINETY
+from palpate.physics.identifiability import NINETY
 
 YOUNG = 1.0, 1e12
 """What there is of Young's moduli [Pa]."""

@@ -1,6 +1,5 @@
 """What an estimator says of a frame, and of a whole run of contact."""
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -8,72 +7,118 @@ from typing import Any
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.estimate import Estimate
-from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
-from palpate.physics.mechanics import Mechanics
+from palpate.estimators.estimate import PressCourse, PressNumbers, PressResult
+from palpate.estimators.grip.grip_estimate import PullResult
+from palpate.estimators.online.particle_field import FieldNumbers, FieldResult, ParticleField
+from palpate.estimators.result import Result, Table, column, group
+from palpate.physics.mechanics import PARAMETERS, Mechanics
+
+VERDICT = (
+    "determined, ratios (only k_s/k_d and F/k_d), relative_force (only that, of a pull), stiffness_ratios (only where "
+    "tissue is stiffer, of --estimator online), undetermined; onset_in_view: the model doesn't say"
+)
+DETERMINED = "which parameters and ratios are determined, joined by ; (in fit.png: the curve of relative_force)"
+"""Columns of all tables."""
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """Where and how an instrument touches in a frame; what does not exist is None, never 0."""
+
+    contact_probability: float | None = column("", None)
+    """that tissue next to the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact to judge"""
+    contact_distance: float | None = column("scene units", None)
+    """Distance between the nearest tool and tissue points."""
+    contact_u: float | None = column("px of the source frame, column", None)
+    contact_v: float | None = column("px of the source frame, row", None)
+    instrument: int | None = column("", None)
+    """which instrument touches: numbered from left to right as first seen; empty: none"""
+    simulated_displacement: float | None = column("scene units", None)
+    """Length of the simulated displacement of the contact vertex."""
+    observed_displacement: float | None = column("scene units", None)
+    """Length of the observed displacement of the contact point."""
+    arrow: np.ndarray | None = None
+    """Tail and tip (u, v) of the force that acts on the contact point, shape [2, 2] [px of the source frame]."""
+
+
+@dataclass(frozen=True)
+class RelativeForce:
+    """Force of a pull in a frame."""
+
+    relative_force: float = column()
+    """of a pull: force at the grip over its peak in this contact; empty: not known, or no pull"""
+    relative_force_low: float = column("lower end of its 90 % interval")
+    relative_force_high: float = column("upper end of its 90 % interval")
 
 
 @dataclass(frozen=True, eq=False)
 class FrameEstimate:
-    """One frame: its status, its contact, and its parameters or the reason why there are none.
+    """Row of parameters.csv: a frame's status, its contact, and its parameters or the reason why there are none.
 
     A quantity that does not exist for the frame (or that the estimator does not give) is None, never 0.
     """
 
-    frame: int
-    """Number of the frame in its source."""
-    time_s: float
-    """Time stamp of the frame [s]."""
-    status: str
-    """`ok`, or why the frame has no parameters: unreadable, repeated, no_mask, no_tool, no_tissue, bad_depth,
-    no_contact."""
-    detail: str = ""
-    """Sentences about the status, or about what can't be trusted although the status is ok."""
-    estimate: Estimate | None = None
-    """Its parameters."""
-    verdict: str = ""
+    frame: int = column("number of the frame in its source")
+    time_s: float = column("s")
+    estimate: PressResult | None = group(PressNumbers, kw_only=True)
+    """Parameters of the press."""
+    contact: bool | None = column("1 or 0; empty: undecided", None, kw_only=True)
+    touch: Touch = group(Touch, Touch(), kw_only=True)
+    field: ParticleField | None = group(FieldNumbers, kw_only=True)
+    """Stiffness over the tissue, from an estimator that finds it place by place."""
+    status: str = column("ok, or why the frame has no parameters")
+    """`ok`, unreadable, repeated, no_mask, no_tool, no_tissue, bad_depth or no_contact."""
+    verdict: str = column(VERDICT, "", kw_only=True)
     """The estimate's; `undetermined` for a frame in contact of which nothing can be said; empty unless the status is
     ok, and from an estimator of whole runs only."""
-    contact: bool | None = None
-    """Whether tool and tissue touch; None where that could not be decided."""
-    contact_probability: float | None = None
-    """Of contact, by whether tissue moves with the tool; None where outlines and depth show that there is none."""
-    contact_distance: float | None = None
-    """Distance between the nearest tool and tissue points [scene units]."""
-    contact_u: float | None = None
-    """Column of the tissue's contact point [px of the source frame]."""
-    contact_v: float | None = None
-    """Row of the tissue's contact point [px of the source frame]."""
-    instrument: int | None = None
-    """Number of the instrument that touches (`data.contact.instruments`)."""
-    simulated_displacement: float | None = None
-    """Length of the simulated displacement of the contact vertex [scene units]."""
-    observed_displacement: float | None = None
-    """Length of the observed displacement of the contact point [scene units]."""
-    arrow: np.ndarray | None = None
-    """Tail and tip (u, v) of the force that acts on the contact point, shape [2, 2] [px of the source frame]; None
-    without force."""
-    field: ParticleField | None = None
-    """Stiffness over the tissue, from an estimator that finds it place by place."""
-    alarm: str | None = None
-    """Whether the force has reached a limit (`results.alarm`), empty without contact; None without a limit."""
-    determined: str | None = None
-    """What its contact leaves determined, joined by ;; None = what the estimate says."""
-    relative_force: float | None = None
-    """Force of a pull over its peak in its contact."""
-    relative_force_low: float | None = None
-    """Lower end of its 90 % interval."""
-    relative_force_high: float | None = None
-    """Upper end."""
+    determined: str | None = column(DETERMINED, None, kw_only=True)
+    """As the estimate has it, or what the end of the contact leaves of that."""
+    pull: RelativeForce | None = group(RelativeForce, kw_only=True)
+    detail: str = column("sentences about the status, or about what can't be trusted", "")
+    alarm: str | None = column("", None, kw_only=True)
+    """of the force limit: above where the upper end of the force's 90 % interval has reached it, else below; unknown
+    where the force is not determined, or contact not decided: neither safe nor unsafe; empty: no contact"""
 
-    @functools.cached_property
-    def values(self) -> dict[str, Any]:
-        """Everything by name, the numbers of estimate and field included; what is not known is missing or None."""
-        numbers = {} if self.estimate is None else self.estimate.numbers()
-        field = {} if self.field is None else self.field.numbers()
-        agreed = {} if self.determined is None else {"determined": self.determined}
-        return {**vars(self), **numbers, **field, **agreed, "verdict": self.verdict}
+    def __post_init__(self) -> None:
+        if self.determined is None and self.estimate is not None:
+            object.__setattr__(self, "determined", ";".join(self.estimate.determined))
+
+
+@dataclass(frozen=True)
+class Onset:
+    """Columns that name a contact in every table."""
+
+    onset_frame: int = column("number of the run's first frame in contact")
+    onset_time_s: float = column("s")
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Columns of what was observed of a contact."""
+
+    instrument: int | None = column("which instrument touches: numbered from left to right as first seen")
+    frames: int = column("frames after the onset in which its tissue was followed")
+    load_s: float | None = column()
+    """s from the onset to the release; empty: the onset or the release was not observed"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Columns of what was concluded of a contact."""
+
+    skill: float = column()
+    """1 - error / motion, root mean squares: 0 as if the tissue kept still, 1 exact; of a pull, in frames that were not
+    fitted; of a press in those that were fitted, of the contact's motion along the force, by light of the tissue's
+    light; of --estimator online as in parameters.csv, of all frames"""
+    verdict: str = column(VERDICT)
+    determined: str = column(DETERMINED)
+    explanation: str = column("why nothing is determined, or by what besides measured depth something is")
+    noise: float | None = column("standard deviation of every observed coordinate, scene units")
+    misfit: float | None = column()
+    """root mean square of observed minus simulated displacement along the force over the noise; 1: it fits"""
+    at_bound: str = column("parameters that lie at the end of their admissible range")
+    status: str = column("ok or no_estimate")
+    detail: str = column("sentence about the status, or about an estimate that can't be trusted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +135,15 @@ class InteractionEstimate:
     """Time from the onset to the release [s]; None where either was not observed."""
     interaction: Interaction | None = None
     """What was observed; None where the tissue was not followed from an onset."""
-    estimate: Estimate | None = None
+    estimate: PressResult | None = None
     """Its parameters."""
     simulated: tuple[np.ndarray, np.ndarray] | None = None
     """Times since the onset [s] and the simulated motion along the force then [scene units], shape [T] each."""
     mechanics: Mechanics | None = None
     """Constants of the sheet of springs that was simulated; None where it was another model."""
-    grip: GripEstimate | None = None
+    grip: PullResult | None = None
     """What the motion around tells, where nothing is determined by the contact's own."""
-    field: FieldEstimate | None = None
+    field: FieldResult | None = None
     """What it tells of stiffness place by place, from the estimator that finds that."""
     detail: str = ""
     """Why there is no estimate, or why it can't be trusted."""
@@ -106,13 +151,17 @@ class InteractionEstimate:
     """Number of the instrument that touches."""
 
     @property
-    def main_estimate(self) -> Estimate | GripEstimate | FieldEstimate | None:
-        """The one by which the verdict is given: a grip's where it tells something and the press nothing."""
+    def beside(self) -> PullResult | FieldResult | None:
+        """Result that gives the verdict in place of the press's: a pull's where it alone determines something."""
         if self.field is not None:
             return self.field
         known = self.estimate is not None and self.estimate.verdict != "undetermined"
-        useful = self.grip is not None and self.grip.verdict != "undetermined"
-        return self.grip if useful and not known else self.estimate
+        return None if known or self.grip is None or self.grip.verdict == "undetermined" else self.grip
+
+    @property
+    def main_estimate(self) -> Result | None:
+        """Result by which the verdict is given."""
+        return self.beside or self.estimate
 
     @property
     def verdict(self) -> str:
@@ -126,15 +175,37 @@ class InteractionEstimate:
         Of a pull in frames that were not fitted; of a press in those that were: by light of how the tissue's light
         changes, else of the contact's motion along the force.
         """
-        found, contact = self.main_estimate, self.interaction
-        if isinstance(found, GripEstimate | FieldEstimate):
-            return found.skill
-        if found is not None and found.by_light:
-            return 1 - found.left
-        if found is None or contact is None or self.simulated is None:
+        press, contact = self.estimate, self.interaction
+        if self.beside is not None:
+            return self.beside.skill
+        if press is not None and press.light is not None:
+            return 1 - press.light.left
+        if press is None or contact is None or self.simulated is None:
             return math.nan
         along = contact.along
         known = np.isfinite(along)
         left = along - np.interp(contact.observation.times, *self.simulated)
         change = np.linalg.norm(along[known])
         return float(1 - np.linalg.norm(left[known]) / change) if change > 0 else math.nan
+
+    @property
+    def rows(self) -> tuple[Any, ...]:
+        """What interactions.csv has of the contact, as of `CONTACTS`."""
+        found, press, contact = self.main_estimate, self.estimate, self.interaction
+        stuck, fit = "", (None, None)
+        if press is not None:
+            stuck = " ".join(name for name, at_end in zip(PARAMETERS, press.at_bound, strict=True) if at_end)
+            fit = press.noise, press.misfit
+        frames = 0 if contact is None else len(contact.observation)
+        frames = frames if self.beside is None else len(self.beside.times)
+        said = ("", "", "") if found is None else (found.verdict, ";".join(found.determined), found.explanation)
+        status = "no_estimate" if found is None else "ok"
+        observed = Onset(self.onset_frame, self.onset_time_s), Followed(self.instrument, frames, self.load_s)
+        pressed = () if press is None else (press.course, press.numbers)
+        return *observed, *pressed, Outcome(self.skill, *said, *fit, stuck, status, self.detail)
+
+
+FRAMES = Table.of(FrameEstimate)
+"""parameters.csv, with the column of --force-limit last."""
+CONTACTS = Table.of(Onset, Followed, PressCourse, PressNumbers, Outcome)
+"""interactions.csv."""

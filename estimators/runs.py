@@ -19,9 +19,9 @@ from palpate.data.shading.light import log_light
 from palpate.data.shading.sequence import RestingLight
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.direct.shading_fit import MECHANICS, fit_shading
-from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.grip.recorder import GripRecorder
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate, Touch
 from palpate.physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
@@ -252,7 +252,7 @@ class RunSession:
         results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
         return run.estimate(**results, detail=detail)
 
-    def _lit(self, contact: Interaction) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
+    def _lit(self, contact: Interaction) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
         """As of `fit_shading`: the estimate of a whole contact by its light.
 
         Raises:
@@ -276,7 +276,7 @@ class RunSession:
             sentence = "A gripped sheet explains the motion, but the force over time is too uncertain."
         return dataclasses.replace(record, grip=found, detail=f"{record.detail} {sentence}".strip())
 
-    def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
+    def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:
         """The estimate of a whole contact, the simulated motion as an `InteractionEstimate` has it, and doubts.
 
         Raises:
@@ -304,7 +304,7 @@ def contact_frame(frame: PreparedFrame) -> ContactFrame:
 def frame_estimate(
     prepared: PreparedFrame,
     clip: ClipInfo,
-    estimate: Estimate | None = None,
+    estimate: PressResult | None = None,
     *,
     verdict: str = "",
     lengths: tuple[float | None, float | None] = (None, None),
@@ -335,19 +335,14 @@ def frame_estimate(
     return FrameEstimate(
         frame.number,
         frame.time_s,
-        prepared.status,
+        status=prepared.status,
         detail=" ".join(filter(None, (prepared.detail or missing, outlines, doubts))),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
-        contact_probability=finite(prepared.contact_probability),
-        contact_distance=finite(prepared.distance),
-        contact_u=u,
-        contact_v=v,
-        instrument=prepared.instrument,
-        simulated_displacement=lengths[0],
-        observed_displacement=lengths[1],
-        arrow=arrow,
+        touch=Touch(
+            finite(prepared.contact_probability), finite(prepared.distance), u, v, prepared.instrument, *lengths, arrow
+        ),
     )
 
 

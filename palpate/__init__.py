@@ -10,7 +10,7 @@ common     files, settings, terminals; knows nothing of the field
 physics    simulators and their derivatives: simulate (numpy), rollout (torch), Mechanics
 data       from pixels to an Interaction: one run of contact, its mesh, load and observed motion
 models     networks, losses, exported files
-estimators from an Interaction to an Estimate: network, gan, direct, online
+estimators from an Interaction to a PressResult: network, gan, direct, online
 planning   instrument paths; results: what is written
 
 Research software. Not a medical device.
@@ -25,7 +25,7 @@ __getattr__, __dir__, __all__ = exported(
         "palpate.api": ("calibrate", "estimate", "open_clip", "plan"),
         "palpate.estimators.open": ("open_estimator",),
         "palpate.data.contact.interaction": ("Interaction",),
-        "palpate.estimators.estimate": ("Estimate",),
+        "palpate.estimators.estimate": ("PressResult",),
         "palpate.estimators.records": ("InteractionEstimate",),
         "palpate.physics.mechanics": ("Mechanics",),
         "palpate.physics.msd.rollouts": ("rollout",),

@@ -1,8 +1,8 @@
 """One command for every program of the project.
 
-    palpate infer | live | train | export | calibrate | plan | page | outline | synthetic …
+    palpate COMMAND [options]
 
-`palpate COMMAND --help` lists a command's options. Not a medical device.
+`palpate COMMAND --help` lists a command's options. Research software, not a medical device.
 """
 
 from palpate.common.doors import enter_door, load_program, run_door
@@ -10,7 +10,10 @@ from palpate.common.doors import enter_door, load_program, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
+import ast
+import importlib.util
 import sys
+from pathlib import Path
 
 from palpate.common.provenance import __version__
 
@@ -29,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command that the first argument names, with the others; returns the exit status."""
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in ("--help", "-h"):
-        print(__doc__)
+        print(__doc__ + "".join(f"\n    {name:10} {summary(name)}" for name in COMMANDS))
         return 0
     if name == "--version":
         print(f"palpate {__version__}")
@@ -46,6 +49,16 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     sys.argv[:] = [f"palpate {name}"]  # what the command calls itself in its messages
     return command.main(["export", *rest] if name == "export" else rest)
+
+
+def summary(name: str) -> str:
+    """First line of a command's description, read without importing the command."""
+    if name == "export":
+        return "A trained network as one ONNX file for `palpate infer --model`."
+    spec = importlib.util.find_spec(COMMANDS[name])
+    assert spec is not None
+    text = Path(str(spec.origin)).read_text(encoding="utf-8")
+    return (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
 
 
 def command() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from palpate.estimators.estimate import NINETY
+from palpate.physics.identifiability import NINETY
 from palpate.planning.press import simulate_press
 from palpate.planning.roadmap import DIGITS, MILLI, TIE, Plan, weighed
 from palpate.planning.scene import SoftObject, SpaceScene

@@ -1,17 +1,12 @@
 """Frames' records brought into agreement with their contact once it has ended."""
 
-import dataclasses
-import math
 from collections.abc import Sequence
+from dataclasses import replace
 
-from palpate.estimators.estimate import Estimate
-from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import FrameEstimate, InteractionEstimate, RelativeForce
 from palpate.results.alarm import BELOW, UNKNOWN
 
 LESS = "The whole contact determines less than its frames until here did: see interactions.csv."
-REVISED = ("verdict", "determined", "relative_force", "relative_force_low", "relative_force_high", "detail", "alarm")
-"""Columns of parameters.csv that may change when a contact ends."""
 
 
 def agreed(frame: FrameEstimate, run: InteractionEstimate, force: Sequence[float]) -> FrameEstimate:
@@ -24,21 +19,18 @@ def agreed(frame: FrameEstimate, run: InteractionEstimate, force: Sequence[float
     """
     if not frame.contact or frame.time_s < run.onset_time_s:
         return frame
-    main = run.main_estimate
-    if isinstance(main, GripEstimate) and main.determined:
-        value, low, high = (None if math.isnan(each) else float(each) for each in force)
-        relative = {"relative_force": value, "relative_force_low": low, "relative_force_high": high}
-        return dataclasses.replace(frame, verdict=main.verdict, determined=";".join(main.determined), **relative)
-    found, verdict = frame.estimate, run.verdict or "undetermined"
-    if found is None and isinstance(main, Estimate) and main.by_light:
-        return dataclasses.replace(frame, estimate=main, verdict=verdict, determined=";".join(main.determined))
+    found, main, verdict = frame.estimate, run.main_estimate, run.verdict or "undetermined"
+    known = ";".join(() if main is None else main.determined)
+    if main is not None and main is run.grip:
+        return replace(frame, verdict=verdict, determined=known, pull=RelativeForce(*force))
+    if found is None and main is not None and main is run.estimate and run.estimate.light is not None:
+        return replace(frame, estimate=run.estimate, verdict=verdict, determined=known)
     if frame.verdict in ("", "undetermined", "onset_in_view"):
         return frame
     names = () if found is None or main is None else (name for name in found.determined if name in main.determined)
     known = ";".join(names)
     if frame.verdict == verdict or verdict == "determined":
-        return frame if found is None else dataclasses.replace(frame, determined=known)
+        return frame if found is None else replace(frame, determined=known)
     lowered = verdict if (frame.verdict, verdict) == ("determined", "ratios") else "undetermined"
-    alarm = UNKNOWN if frame.alarm == BELOW else frame.alarm
-    changed = {"verdict": lowered, "determined": known if lowered == "ratios" else "", "alarm": alarm}
-    return dataclasses.replace(frame, detail=f"{frame.detail} {LESS}".strip(), **changed)
+    alarm, detail = UNKNOWN if frame.alarm == BELOW else frame.alarm, f"{frame.detail} {LESS}".strip()
+    return replace(frame, verdict=lowered, determined=known if lowered == "ratios" else "", alarm=alarm, detail=detail)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.estimators.estimate import NINETY, Estimate
+from palpate.estimators.estimate import PressResult
 from palpate.estimators.records import FrameEstimate
 
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
@@ -45,7 +45,9 @@ class ForceAlarm:
         """The run of contact has ended; the next frame in contact is the onset of another."""
         self._onset, self._above = np.nan, False
 
-    def watch(self, frame: FrameEstimate, upper_end: Callable[[Estimate], float | None] | None = None) -> FrameEstimate:
+    def watch(
+        self, frame: FrameEstimate, upper_end: Callable[[PressResult], float | None] | None = None
+    ) -> FrameEstimate:
         """Return the frame's estimate with its state, by `upper_end` of the force (default: `upper_force`)."""
         upper = None if frame.estimate is None else (upper_end or upper_force)(frame.estimate)
         return replace(frame, alarm=self.push(frame.time_s, frame.contact, upper))
@@ -85,7 +87,7 @@ class ForceAlarm:
         )
 
 
-def upper_force(found: Estimate) -> float | None:
+def upper_force(found: PressResult) -> float | None:
     """Upper end of the 90 % interval of |F| [scene units]; None where the force isn't determined."""
-    known = "force" in found.determined
-    return abs(float(found.theta[2])) * float(np.exp(NINETY * found.log_sd[2])) if known else None
+    force = found.quantity("force") if "force" in found.determined else None
+    return None if force is None else float(force.end(1))

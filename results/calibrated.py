@@ -7,15 +7,33 @@ from typing import Any
 import numpy as np
 
 from palpate.estimators.calibration_file import Calibration
-from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.force_scale import ClipLength, ForceScale, Physical, PressedRun
-from palpate.estimators.grip.grip_estimate import GripEstimate
 from palpate.estimators.known_force import predict_force
-from palpate.estimators.records import InteractionEstimate
-from palpate.physics.identifiability import covariance
+from palpate.estimators.records import InteractionEstimate, Onset
+from palpate.estimators.result import ENDS, Quantity, Table, column
+from palpate.physics.identifiability import NINETY, covariance
 from palpate.physics.mechanics import PARAMETERS
 
-NEWTONS = "N"
+NEWTONS, UNIT = "N", "unit, and what it was calibrated by"
+
+
+@dataclass(frozen=True)
+class Newtons:
+    """Columns of a contact in newtons."""
+
+    stiffness: Quantity | None = column("k_s in stiffness_unit", None)
+    stiffness_unit: str = column(UNIT, "")
+    damping: Quantity | None = column("k_d in damping_unit", None)
+    damping_unit: str = column(UNIT, "")
+    force: Quantity | None = column("|F| in force_unit", None)
+    force_unit: str = column(UNIT, "")
+    determined: str = column("which of them are determined, joined by ;", "")
+    detail: str = column("why there are no numbers", "")
+
+
+CALIBRATED = Table.of(Onset, Newtons)
+"""calibrated.csv."""
 
 
 @dataclass
@@ -48,17 +66,16 @@ class ClipCalibration:
             NoEstimate: the known force does not determine that of this pull.
         """
         self._runs.append((run.onset_frame, run.onset_time_s, PressedRun.of(run)))
-        found = run.main_estimate
-        measured = self.calibration.measured
-        if measured is None or not isinstance(found, GripEstimate) or "relative_force" not in found.determined:
+        found, measured = run.grip, self.calibration.measured
+        if measured is None or found is None or run.main_estimate is not found:
             return None
         try:
             force, sd = predict_force(measured.at(run.onset_time_s + found.times), found.force, found.force_sd)
         except NoEstimate as reason:
             self._unknown_pull = str(reason)
             raise
-        self._pulled, half = True, NINETY * sd
-        return np.stack([force, force - half, force + half])
+        self._pulled = True
+        return force + np.outer([*ENDS.values()], NINETY * sd)
 
     def conclude(self, length: ClipLength) -> None:
         """Say all in newtons, after the last run of contact."""
@@ -69,7 +86,7 @@ class ClipCalibration:
         except NoEstimate as reason:
             self.reason = str(reason)
         for frame, time_s, run in self._runs:
-            values = {"onset_frame": frame, "onset_time_s": time_s}
+            values: dict[str, Any] = {"onset_frame": frame, "onset_time_s": time_s}
             if run is None:
                 values["detail"] = "No press was estimated in this run of contact."
             elif self.scale is None:
@@ -81,7 +98,7 @@ class ClipCalibration:
             self.rows.append(values)
         self.reason = "" if self._pulled else self._unknown_pull or self.reason
 
-    def upper_force(self, found: Estimate) -> float | None:
+    def upper_force(self, found: PressResult) -> float | None:
         """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.
 
         No scale is known before the run of contact with the known force has ended.
@@ -96,7 +113,7 @@ class ClipCalibration:
         physical = None if scale is None else scale.of(PressedRun(-1, math.nan, math.nan, *known), self.length)
         if physical is None or physical.log_sd is None or "force" not in physical.determined:
             return None
-        return math.exp(physical.logs[2] + NINETY * physical.log_sd[2])
+        return float(Quantity(math.exp(physical.logs[2]), physical.log_sd[2]).end(1))
 
     def record(self) -> dict[str, Any]:
         """What run.json keeps: where newtons come from."""
@@ -118,16 +135,10 @@ def physical_values(physical: Physical, source: str, metres: str = "") -> dict[s
         metres: by what metres are.
     """
     per, metric = "m" if physical.metric else "scene unit", f", metric by {metres}" if metres else ""
-    units = dict(zip(PARAMETERS, (f"N/{per}", f"N·s/{per}", "N"), strict=True))
-    spread = physical.log_sd
+    units = f"N/{per}, by {source}{metric}", f"N·s/{per}, by {source}{metric}", f"N, by {source}"
+    spread = (None,) * len(units) if physical.log_sd is None else physical.log_sd.tolist()
     found: dict[str, Any] = {"determined": ";".join(physical.determined)}
-    for index, name in enumerate(PARAMETERS):
-        value = math.exp(physical.logs[index])
-        by = source + metric if "/m" in units[name] else source
-        found |= {name: value, f"{name}_unit": f"{units[name]}, by {by}"}
-        if spread is not None:
-            log_sd = float(spread[index])
-            found[f"{name}_sd"] = value * math.exp(log_sd**2 / 2) * math.sqrt(math.expm1(log_sd**2))
-            found[f"{name}_low"] = value * math.exp(-NINETY * log_sd)
-            found[f"{name}_high"] = value * math.exp(NINETY * log_sd)
+    for name, unit, log, log_sd in zip(PARAMETERS, units, physical.logs, spread, strict=True):
+        parts = Quantity(math.exp(log), log_sd).parts | {"_unit": unit}
+        found |= {f"{name}{end}": part for end, part in parts.items()}
     return found

@@ -22,24 +22,11 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
         factor: pixels of the canvas a pixel of the source frame.
         labels: label map of any resolution: what an instrument hides isn't painted; None = all is.
     """
-    if field.verdict == "undetermined" or not field.known.any():
+    known, values = field.distance.known, field.distance.value
+    if field.verdict == "undetermined" or not known.any():
         return
-    stretch = field.distance
-    faces = field.faces[field.known[field.faces].all(axis=1)]
-    paint(canvas, (field.pixels + 0.5) * factor, faces, stretch / float(np.median(stretch[field.known])), labels)
-
-
-def paint(
-    canvas: np.ndarray, places: np.ndarray, faces: np.ndarray, values: np.ndarray, labels: np.ndarray | None
-) -> None:
-    """Paint triangles on an RGB canvas in place, but for what an instrument hides.
-
-    Args:
-        canvas: uint8, shape [H, W, 3].
-        places, faces: corners [N, 2] [px] and their triangles [F, 3].
-        values: of the corners [N]; 1 is neither red nor blue.
-        labels: label map of any resolution; None = nothing is hidden.
-    """
+    faces, places = field.faces[known[field.faces].all(axis=1)], (field.pixels + 0.5) * factor
+    values = values / float(np.median(values[known]))
     found, covered = canvas.copy(), np.zeros(canvas.shape[:2], np.uint8)
     logs = np.log(values[faces].mean(axis=1)) / np.log(RANGE)
     for corners, color in zip(np.round(places[faces]).astype(np.int32), colors(logs), strict=True):

@@ -1,9 +1,9 @@
 """How the clips of a batch went: in words, in counts, the closing table and the page."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console
 from rich.table import Table
@@ -11,9 +11,14 @@ from rich.text import Text
 
 from palpate.common.command_line import say
 from palpate.common.doors import plain
+from palpate.estimators.estimate import SYMBOLS
+from palpate.estimators.result import ENDS
+from palpate.results.artefacts.forces import RELATIVE
 from palpate.results.options import in_options
+from palpate.results.page.gather import contacts_of, number
 from palpate.results.page.render import write_pages
-from palpate.results.store import OutputError
+from palpate.results.store import INTERACTIONS, OutputError, read_record
+from palpate.results.verdicts import digits, numbers
 
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
 
@@ -28,6 +33,13 @@ class Outcome:
     """Folder of the results, or why there are none."""
     counts: dict[str, int] = field(default_factory=dict)
     """What was found in the clip (see `counts_of`)."""
+    contacts: list[tuple[str, ...]] = field(default_factory=list)
+    """Of every contact: number, first frame, what was estimated, verdict."""
+
+    @classmethod
+    def of(cls, name: str, state: str, folder: Path) -> Self:
+        """Outcome of a clip with results in a folder."""
+        return cls(name, state, str(folder), counts_of(read_record(folder)), _contacts(folder))
 
 
 def wording(error: Exception) -> str:
@@ -50,23 +62,51 @@ def plural(count: int, noun: str) -> str:
     return noun if count == 1 else f"{noun}s"
 
 
-def _table(outcomes: list[Outcome]) -> Table:
-    """Clips with what was counted in them, and where the results lie."""
-    table = Table(title="Clips", title_justify="left")
-    table.add_column("clip", no_wrap=True, max_width=24)
-    table.add_column("result", no_wrap=True)
-    table.add_column("found", no_wrap=True)
-    table.add_column("results in, or why not", overflow="fold")
-    for outcome in outcomes:
-        # A line a status: a column each would leave no room for the rest on a narrow terminal.
-        counts = "\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items())
-        table.add_row(Text(plain(outcome.name)), outcome.state, Text(counts), Text(plain(outcome.where)))
-    return table
+def _estimated(contact: Mapping[str, Any]) -> str:
+    """What is determined of a contact, with half its 90 % interval and its unit."""
+    forces, newtons, shown = contact["forces"], contact["newtons"], contact["numbers"]
+    if contact["name"] == "relative_force" and forces["mean"] is not None:
+        unit = "of its peak" if forces["unit"] == RELATIVE else forces["unit"].partition(",")[0]
+        half = abs(forces["mean_high"] - forces["mean_low"]) / 2
+        return f"mean force {digits(forces['mean'], 2)} ± {digits(half, 2)} {unit}"
+    units = {"k_d/k_s": "s"}
+    if newtons.get("determined"):
+        names = newtons["determined"].split(";")
+        shown = numbers("determined", {f"{x}{end}": number(newtons[f"{x}{end}"]) for x in names for end in ENDS})
+        units = {SYMBOLS[name]: newtons[f"{name}_unit"].partition(",")[0] for name in names}
+    sure = [f"{symbol} {text} {units.get(symbol, 'units')}" for symbol, text in shown if "±" in text]
+    return ", ".join(sure) or "—"
+
+
+def _contacts(folder: Path) -> list[tuple[str, ...]]:
+    """Lines of the table of estimates: number, first frame, estimate and verdict of every contact."""
+    if not (folder / INTERACTIONS).is_file():
+        return []  # a sequence
+    found = enumerate(contacts_of(folder), start=1)
+    return [(str(at), one["row"]["onset_frame"], _estimated(one), one["words"]) for at, one in found]
+
+
+def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table of cells that do nothing to a terminal."""
+    table = Table(title=title, title_justify="left")
+    for name in columns:
+        wide = name in ("estimate", "results in, or why not")
+        table.add_column(name, no_wrap=not wide, overflow="fold", max_width=24 if name == "clip" else None)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console().print(table, soft_wrap=True)
 
 
 def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
-    """Print the closing table, write the batch's page and its clips', and say where, or why not."""
-    Console().print(_table(outcomes), soft_wrap=True)
+    """Print what was estimated and how the clips went, write the batch's page and its clips', and say where."""
+    estimates = [(plain(outcome.name), *map(plain, line)) for outcome in outcomes for line in outcome.contacts]
+    if estimates:
+        title = "Estimates (± is half the 90 % interval; units: scene units)"
+        _print(title, ("clip", "contact", "frame", "estimate", "verdict"), estimates)
+    # A line a status: a column each would leave no room for the rest on a narrow terminal.
+    counts = ["\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items()) for outcome in outcomes]
+    clips = [(plain(one.name), one.state, found, plain(one.where)) for one, found in zip(outcomes, counts, strict=True)]
+    _print("Clips", ("clip", "result", "found", "results in, or why not"), clips)
     failed = [(outcome.name, outcome.where) for outcome in outcomes if outcome.state == FAILED]
     try:
         say(console, f"Look at {write_pages(output, failed, anew=False)}")

@@ -7,11 +7,10 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
-from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
-from palpate.results.columns import UNITS
+from palpate.estimators.result import UNITS, values_of
 from palpate.results.field_overlay import RANGE, draw_field
-from palpate.results.verdicts import ALARMS, COLORS, MEANINGS, Color, in_words, numbers, state
+from palpate.results.verdicts import ALARMS, NOTES, Color, in_words, numbers, state
 
 WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
@@ -51,7 +50,7 @@ def draw_overlay(
     _mark_contact(canvas, estimate, width / size[0])
     _panel(canvas, estimate)
     _footer(canvas, estimate)
-    edge = ALARMS[estimate.alarm].get("edge") if estimate.alarm else None
+    edge = ALARMS[estimate.alarm][1] if estimate.alarm else None
     if edge is not None:
         cv2.rectangle(canvas, (0, 0), (width - 1, height - 1), edge, max(3, round(height / 80)))
     return canvas
@@ -68,17 +67,17 @@ def _outline(canvas: np.ndarray, mask: np.ndarray, color: Color) -> None:
 
 def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) -> None:
     """Ring at the contact point, and the force arrow that ends there."""
-    scale = canvas.shape[0] / 480
-    if estimate.arrow is not None:
-        tail, tip = (tuple(round((value + 0.5) * factor) for value in point) for point in estimate.arrow)
+    scale, touch = canvas.shape[0] / 480, estimate.touch
+    if touch.arrow is not None:
+        tail, tip = (tuple(round((value + 0.5) * factor) for value in point) for point in touch.arrow)
         cv2.arrowedLine(canvas, tail, tip, (20, 20, 20), max(4, round(6 * scale)), cv2.LINE_AA, tipLength=0.3)
         cv2.arrowedLine(canvas, tail, tip, _FORCE_COLOR, max(2, round(3 * scale)), cv2.LINE_AA, tipLength=0.3)
-    if estimate.contact_u is not None and estimate.contact_v is not None:
-        center = (round((estimate.contact_u + 0.5) * factor), round((estimate.contact_v + 0.5) * factor))
+    if touch.contact_u is not None and touch.contact_v is not None:
+        center = (round((touch.contact_u + 0.5) * factor), round((touch.contact_v + 0.5) * factor))
         cv2.circle(canvas, center, max(4, round(7 * scale)), (20, 20, 20), max(3, round(4 * scale)), cv2.LINE_AA)
         cv2.circle(canvas, center, max(4, round(7 * scale)), WHITE, max(1, round(2 * scale)), cv2.LINE_AA)
-        if estimate.instrument is not None:
-            text(canvas, str(estimate.instrument), (center[0] + 11 * scale, center[1]), max(11.0, 15 * scale), WHITE)
+        if touch.instrument is not None:
+            text(canvas, str(touch.instrument), (center[0] + 11 * scale, center[1]), max(11.0, 15 * scale), WHITE)
 
 
 def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:
@@ -92,7 +91,7 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     shade(canvas, (pad, pad), (width, height), 0.66)
     baseline, right = pad + step, width
     dot = (round(2 * pad + size * 0.3), round(baseline - size * 0.35))
-    cv2.circle(canvas, dot, round(size * 0.36), COLORS[state(estimate)], -1, cv2.LINE_AA)
+    cv2.circle(canvas, dot, round(size * 0.36), NOTES[state(estimate)].color, -1, cv2.LINE_AA)
     text(canvas, in_words(state(estimate)), (2 * pad + size, baseline), size, WHITE, bold=True)
     for name, value in lines:
         baseline += step
@@ -107,11 +106,13 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:
 def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
     """Name and value of what the frame has."""
     names = {"k_s": "stiffness k_s", "k_d": "damping k_d", "|F|": "force |F|"}
-    found = [(names.get(symbol, symbol), value) for symbol, value in numbers(estimate.verdict, estimate.values)]
+    touch, press = estimate.touch, estimate.estimate
+    known = numbers(estimate.verdict, {} if press is None else values_of(press.numbers))
+    found = [(names.get(symbol, symbol), value) for symbol, value in known]
     for name, digits, value in (
-        ("displacement, simulated", ".2g", estimate.simulated_displacement),
-        ("displacement, observed", ".2g", estimate.observed_displacement),
-        ("contact, probability", ".2f", estimate.contact_probability),
+        ("displacement, simulated", ".2g", touch.simulated_displacement),
+        ("displacement, observed", ".2g", touch.observed_displacement),
+        ("contact, probability", ".2f", touch.contact_probability),
     ):
         found += [] if value is None else [(name, format(value, digits))]
     return found
@@ -119,20 +120,15 @@ def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
 
 def _notes(estimate: FrameEstimate) -> list[str]:
     """Small print under the numbers: what they can't say, why there are none, and their unit."""
-    notes = [ALARMS[estimate.alarm]["say"]] if estimate.alarm else []
-    notes += [MEANINGS[estimate.verdict]] if estimate.verdict else []
+    notes = [ALARMS[estimate.alarm][0]] if estimate.alarm else []
+    notes += [NOTES[estimate.verdict].text] if estimate.verdict else []
     notes += [estimate.detail] if estimate.detail else []
     if estimate.field is not None and estimate.field.verdict != "undetermined":
-        notes.append(_described_field(estimate.field))
+        notes.append(f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th, relative units.")
     if estimate.estimate is None:
         return notes
-    unsure = estimate.verdict != "determined" and "stiffness_low" in estimate.values
+    unsure = estimate.verdict != "determined" and estimate.estimate.covariance is not None
     return [*notes, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
-
-
-def _described_field(field: ParticleField) -> str:
-    """What colours mean."""
-    return f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th, relative units."
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:

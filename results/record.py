@@ -12,7 +12,7 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-from palpate.common.files import all_below, digest_of, file_sha256, read_beside
+from palpate.common.files import all_below, digest_of, file_sha256
 from palpate.common.output import is_own
 from palpate.common.provenance import __version__, code_digest
 from palpate.data.clip import ClipStream
@@ -23,16 +23,30 @@ from palpate.data.source.layout import right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.estimators.contract import Estimator
 from palpate.estimators.records import FrameEstimate
+from palpate.estimators.result import UNITS
 from palpate.models.onnx_session import ExportedModel, PosteriorModel
-from palpate.results import columns
-from palpate.results.store import INTERACTIONS, PAGES, PROGRAM, SCENE, TABLE, WRITTEN, own_files
+from palpate.results.store import PAGES, PROGRAM, own_files
 from palpate.results.writer import ClipResults
 
 FORMAT_VERSION = 1
 """Version of the record's layout."""
 PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
-WARNINGS: dict[str, str] = read_beside(__file__)
-"""What the user should know about a clip's results, a sentence each."""
+UNDRIVEN = (
+    "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; the "
+    "online estimator needs a clip whose tool drives the tissue"
+)
+CODED = (
+    "the video's compression leaves small changes out, so that brightness lags behind by {:.1f} of 255 levels: k_d/k_s "
+    "and F/k_s by shading may come out too large, and other than from the same video compressed less"
+)
+UNCALIBRATED = (
+    "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
+    "intervals hold the truth less often than that"
+)
+AUTOMATIC = (
+    "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: contact "
+    "here means in view, until the instrument has moved and tissue did not move with it"
+)
 PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 """Statuses that mean a broken input, not an empty scene."""
 
@@ -64,6 +78,19 @@ def model_of(estimator: Estimator) -> ExportedModel | None:
     return getattr(estimator, "model", None)
 
 
+def head_of(kind: str, causes: Mapping[str, Any]) -> dict[str, Any]:
+    """What run.json has of any results: what they are, and what they depend on."""
+    return {
+        "format_version": FORMAT_VERSION,
+        "program": PROGRAM,
+        "kind": kind,
+        "notice": "Research software, not a medical device.",
+        "fingerprint": digest_of(causes),
+        "estimator": causes["estimator"],
+        "versions": versions(),
+    }
+
+
 def build_record(
     clip: ClipStream,
     causes: Mapping[str, Any],
@@ -82,12 +109,7 @@ def build_record(
     """
     source, frames = clip.source, results.estimates
     depth_identity, masks_identity = clip.identity
-    return {
-        "format_version": FORMAT_VERSION,
-        "program": PROGRAM,
-        "kind": "video",
-        "notice": "Research software, not a medical device.",
-        "fingerprint": digest_of(causes),
+    return head_of("video", causes) | {
         "input": {
             "path": str(source.path.resolve()),
             "sha256": causes["clip"],
@@ -112,26 +134,20 @@ def build_record(
         "force_limit": None if results.alarm is None else results.alarm.record(),
         "model": model and {"path": str(model.path.resolve()), "sha256": causes["model"], "metadata": model.metadata},
         "providers": ({} if model is None else {"estimator": model.provider}) | clip.providers,
-        "estimator": causes["estimator"],
-        "units": columns.UNITS | {"length": results.length.record["says"]},
-        "columns": {TABLE: results.columns, INTERACTIONS: columns.INTERACTIONS},
+        "units": UNITS | {"length": results.length.record["says"]},
+        "columns": {item.name: item.columns for item in results.artefacts if item.columns is not None},
         "warnings": [
             *clip.warnings,
             *filter(None, [results.length.by if results.length.metres is None else ""]),
             *warnings_of(source, frames, model, clip.sources),
-            *([] if results.stretched or causes["estimator"]["name"] != "online" else [WARNINGS["undriven"]]),
-            *([WARNINGS["coded"].format(lag=results.lag)] if results.lag else []),
-            *([_unexported(results)] if results.unexported else []),
+            *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
+            *([CODED.format(results.lag)] if results.lag else []),
+            *(warning for artefact in results.artefacts for warning in artefact.warnings()),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
         ],
         "timings_s": {stage: round(value, 4) for stage, value in seconds.items()},
-        "versions": versions(),
     }
-
-
-def _unexported(results: ClipResults) -> str:
-    return WARNINGS["unexported"].format(count=results.unexported, runs=results.counts.total())
 
 
 def warnings_of(
@@ -151,22 +167,24 @@ def warnings_of(
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
         if sources[what] not in trained:
-            words = {"what": what, "trained": " and ".join(trained), "here": sources[what]}
-            found.append(WARNINGS["elsewhere"].format(**words))
+            found.append(
+                f"the model was trained on {what} from {' and '.join(trained)} and this clip's come from "
+                f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
+            )
     found += source.warnings
     if sources["masks"] == "automatic":
-        found.append(WARNINGS["automatic"])
+        found.append(AUTOMATIC)
     for status in PERSISTENT:
         hit = [frame for frame in frames if frame.status == status]
         if hit:
-            words = {"count": len(hit), "frames": len(frames), "status": status}
-            found.append(WARNINGS["persistent"].format(first=hit[0].frame, detail=hit[0].detail, **words))
+            share, first = f"{len(hit)} of {len(frames)} frames are {status}", hit[0]
+            found.append(f"{share}, the first is {first.frame}: {first.detail}")
     if isinstance(model, PosteriorModel) and not model.calibrated:
-        found.append(WARNINGS["uncalibrated"])
+        found.append(UNCALIBRATED)
     # Contact posteriors of version 1 did not say.
     trained = PREPROCESSING_VERSION if model is None else metadata.get("preprocessing_version", 1)
     if trained != PREPROCESSING_VERSION:
-        found.append(WARNINGS["version"].format(trained=trained, here=PREPROCESSING_VERSION))
+        found.append(f"the model was trained on preprocessing version {trained}, this is {PREPROCESSING_VERSION}")
     return found
 
 
@@ -181,11 +199,12 @@ def sha256_of(path: Path) -> str:
     if path.is_file():
         state = path.stat()
         return _file_sha256(path, state.st_size, state.st_mtime_ns)
-    digest = hashlib.sha256()
+    digest, written = hashlib.sha256(), dict[Path, set[str]]()
     for file in all_below(path):
         relative = file.relative_to(path)
-        written = file.name in WRITTEN or SCENE.fullmatch(file.name)
-        own = (written and file.name in own_files(file.parent)) or (file.name in PAGES and is_own(file))
+        if file.parent not in written:
+            written[file.parent] = {*own_files(file.parent)}
+        own = file.name in written[file.parent] or (file.name in PAGES and is_own(file))
         if not own and file.is_file() and not any(part.startswith(".") for part in relative.parts):
             state = file.stat()
             content = f"{state.st_size} {state.st_mtime_ns}" if state.st_size > MOST_BYTES else sha256_of(file)

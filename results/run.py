@@ -4,11 +4,8 @@ import argparse
 import functools
 import io
 import os
-import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,34 +16,23 @@ from rich.progress import Progress
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
 from palpate.common.doors import INTERRUPTED, interruptible, plain, program
-from palpate.common.files import digest_of, file_sha256
-from palpate.common.options import filled, flag_of
+from palpate.common.files import digest_of
+from palpate.common.options import filled
 from palpate.common.workers import WorkerLost, run_tasks
-from palpate.data.clip import STAGES, ClipStream
-from palpate.data.contact.shaft import NOT_SEEN, ShaftRuler
-from palpate.data.prepared import PreparedFrame
+from palpate.data.clip import STAGES
 from palpate.data.source.bags import is_bag
 from palpate.data.source.discovery import discover
-from palpate.data.source.frames import name_of, open_source
+from palpate.data.source.frames import name_of
 from palpate.data.source.images import printable
-from palpate.data.source.sequence import is_sequence, open_sequence
-from palpate.data.source.sequence_checks import require_fit
+from palpate.data.source.sequence import is_sequence
 from palpate.estimators.calibration_file import read_calibration
-from palpate.estimators.contract import ClipInfo, Output, Preparation
-from palpate.estimators.force_scale import ClipLength
+from palpate.estimators.contract import Preparation
 from palpate.estimators.open import ESTIMATORS, preparation
-from palpate.estimators.records import FrameEstimate
-from palpate.estimators.session import estimates_of
 from palpate.results import store
-from palpate.results.alarm import ForceAlarm
-from palpate.results.bag import write_bag
-from palpate.results.calibrated import NEWTONS, ClipCalibration
-from palpate.results.columns import UNITS
 from palpate.results.options import require_able
-from palpate.results.outcome import DONE, FAILED, UP_TO_DATE, Outcome, conclude, counts_of, plural, wording
-from palpate.results.record import build_record, depends_on, model_of
-from palpate.results.sequence import PARTICLES, causes_of, write_sequence
-from palpate.results.writer import ClipResults
+from palpate.results.outcome import DONE, FAILED, UP_TO_DATE, Outcome, conclude, wording
+from palpate.results.sequence import SequenceClip
+from palpate.results.video import VideoClip
 
 Options = tuple[tuple[str, Any], ...]
 """The command line's options with their values, for another process."""
@@ -77,103 +63,25 @@ class Batch:
             raise ValueError("--jobs are processes here, --scheduler has workers of its own; leave one of them out.")
         self.settings = preparation(self.estimator, filled(Preparation, values))
         self.store = store.ResultStore(options.output)
-        self.fields = self.estimator.tells_field
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
-        """Estimate every frame and every run of contact of a clip and write the results; arguments as of `attempt`."""
-        if is_sequence(path):
-            return self._sequence(path, progress, place)
-        source = open_source(path, self.settings.layout)
-        folder = self.folders.get(path) or self.store.folder(source.name, path)
-        causes = depends_on(path, self.settings, self.estimator)
-        chosen = {name: getattr(self.options, name) for name in ("force_limit", "shaft_diameter", "export")}
-        causes |= {name: value for name, value in chosen.items() if value is not None}
-        newtons, known = None, None
-        if self.calibration is not None:
-            given = self.calibration.of_clip(path, self.settings.layout.topic)
-            causes["force_scale"] = [file_sha256(file) for file in given.files] or str(given.path)
-            known, newtons = given.measured, ClipCalibration(given)
-        if store.is_up_to_date(folder, digest_of(causes), self._files(newtons), overwrite=self.options.overwrite):
-            return self._kept_results(source.name, folder)
-        task = progress.add_task(f"{place} {plain(source.name)[:36]}", total=source.length or None)
+        """Estimate a clip and write its results; arguments as of `attempt`."""
+        kind: Any = SequenceClip if is_sequence(path) else VideoClip
+        clip = kind(path, self)
+        folder = self.folders.get(path) or self.store.folder(clip.name, path)
+        if store.is_up_to_date(folder, digest_of(clip.causes), clip.files, overwrite=self.options.overwrite):
+            say(self.console, f"{clip.name}: up to date in {folder}; --overwrite computes it again")
+            return Outcome.of(clip.name, UP_TO_DATE, folder)
+        task = progress.add_task(f"{place} {plain(clip.name)[:36]}", total=clip.length or None)
         try:
-            options: dict[str, Any] = {"overlay": self.options.overlay, "calibration": newtons}
-            options |= {"fields": self.fields, "export": self.options.export}
-            options["waits"] = self.estimator.name in ("direct", "network")
-            if self.options.bag is not None:
-                options["bag"] = functools.partial(write_bag, self.options.bag, source)
-            if self.estimator.force_seconds is not None:
-                options["seconds"] = self.estimator.force_seconds
-                if self.options.force_limit is not None:
-                    unit = UNITS["force"] if self.calibration is None else NEWTONS
-                    options["alarm"] = ForceAlarm(self.options.force_limit, unit, options["seconds"])
-            with ClipResults(folder, source.size, source.fps, **options) as results:
-                clip, started = ClipStream(source, self.settings), time.perf_counter()
-                length = ClipLength.of(clip)
-                if newtons is not None:
-                    newtons.length = length
-                diameter = self.options.shaft_diameter
-                if diameter is not None and length.metres is not None:
-                    raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")
-                ruler = None if diameter is None else ShaftRuler(diameter / 1000, clip)
-                told = ruler.metres if ruler else lambda: length.metres and (length.metres, length.log_sd)
-                session = self.estimator.start(replace(ClipInfo.of(clip), force=known, metres=told))
-                frames: deque[PreparedFrame] = deque()
-                stream = iter(clip) if self.options.threads == 1 else clip.overlapped()
-                stream = ruler.watched(stream) if ruler else stream
-                for item in estimates_of(session, _kept(stream, frames, lambda: progress.advance(task))):
-                    _write(results, frames, item)
-                if ruler is not None:
-                    metres, log_sd = ruler.metres() or (None, 0.0)
-                    by = NOT_SEEN if metres is None else f"a shaft of {diameter:g} mm"
-                    length = replace(length, metres=metres, log_sd=log_sd, by=by)
-                results.calibrate(length)
-                seconds = {**clip.seconds, **session.seconds, **results.seconds}
-                seconds["total"] = time.perf_counter() - started + clip.seconds["scale"]
-                record = build_record(clip, causes, model_of(self.estimator), results, seconds)
-                results.finish(record, title=source.name)
-        finally:
-            progress.remove_task(task)
-        for warning in record["warnings"]:
-            say(self.console, f"{source.name}: {warning}")
-        for reason, count in results.unexplained.most_common(3):
-            total = results.counts.total()
-            said = f"no estimate of {count} of {total} {plural(total, 'contact')}: {reason}"
-            say(self.console, f"{source.name}: {said}")
-        return Outcome(source.name, DONE, str(folder), counts_of(record))
-
-    def _sequence(self, path: Path, progress: Progress, place: str) -> Outcome:
-        """The same of a sequence beside a robot."""
-        if not self.estimator.tells_field:
-            raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
-        chosen = filled(Preparation, vars(self.options))
-        for field in fields(chosen):
-            if getattr(chosen, field.name) not in (None, field.default) and field.name not in ("threads", "device"):
-                said = f"is for videos, and {printable(path)} is a sequence; leave it out"
-                raise ValueError(f"{flag_of(field.name)} {said}.")
-        name, sequence = name_of(path), open_sequence(path)
-        require_fit(sequence)
-        folder = self.folders.get(path) or self.store.folder(name, path)
-        causes = causes_of(sequence, self.estimator.described)
-        files = (store.TABLE, PARTICLES, store.RECORD)
-        if store.is_up_to_date(folder, digest_of(causes), files, overwrite=self.options.overwrite):
-            return self._kept_results(name, folder)
-        task = progress.add_task(f"{place} {plain(name)[:36]}", total=None)
-        try:
-            done = functools.partial(progress.advance, task)
-            record = write_sequence(sequence, self.estimator.settings, folder, causes, done)
+            record = clip.write(folder, lambda: progress.advance(task))
         finally:
             progress.remove_task(task)
             with suppress(store.OutputError):
                 store.settle(folder)
-        for warning in record["warnings"]:
-            say(self.console, f"{name}: {warning}")
-        return Outcome(name, DONE, str(folder), counts_of(record))
-
-    def _kept_results(self, name: str, folder: Path) -> Outcome:
-        """Say that a clip's results are up to date, which is its outcome."""
-        say(self.console, f"{name}: up to date in {folder}; --overwrite computes it again")
-        return Outcome(name, UP_TO_DATE, str(folder), counts_of(store.read_record(folder)))
+        for sentence in (*record["warnings"], *clip.remarks):
+            say(self.console, f"{clip.name}: {sentence}")
+        return Outcome.of(clip.name, DONE, folder)
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
         """Clips under the given inputs, and an outcome for every input that has none."""
@@ -226,13 +134,6 @@ class Batch:
                 with suppress(store.OutputError):
                     store.settle(self.folders[path])
 
-    def _files(self, newtons: ClipCalibration | None) -> list[str]:
-        """Names of what is written for a clip."""
-        wanted = {store.OVERLAY: self.options.overlay, store.FIELDS: self.fields}
-        wanted |= {name: kind == self.options.bag for kind, name in store.BAGS.items()}
-        wanted |= {store.CALIBRATED: newtons is not None}
-        return [name for name in store.WRITTEN if wanted.get(name, True)]
-
     def attempt(self, path: Path, progress: Progress, place: str) -> Outcome:
         """Process a clip; whatever goes wrong with it is said in one sentence, and the batch goes on.
 
@@ -271,24 +172,6 @@ def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, O
 def _opened(options: Options) -> Batch:
     """The batch, opened once in a worker."""
     return Batch(argparse.Namespace(**dict(options)), Console(file=io.StringIO()))
-
-
-def _kept(
-    stream: Iterable[PreparedFrame], frames: deque[PreparedFrame], done: Callable[[], None]
-) -> Iterator[PreparedFrame]:
-    """A clip's frames, each of which is kept until its estimate is written."""
-    for frame in stream:
-        frames.extend((*frame.skipped, frame))
-        yield frame
-        done()
-
-
-def _write(results: ClipResults, frames: deque[PreparedFrame], item: Output) -> None:
-    """Write an estimate; those of frames come in order."""
-    if isinstance(item, FrameEstimate):
-        results.write(frames.popleft(), item)
-    else:
-        results.add(item)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -4,25 +4,34 @@
 line a frame. What isn't known is not a number there.
 """
 
+from __future__ import annotations
+
+import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from palpate.common.files import digest_of
+from palpate.common.options import filled, flag_of
 from palpate.common.provenance import __version__, code_digest
 from palpate.common.tables import to_csv
-from palpate.data.source.sequence import Sequence
-from palpate.estimators.estimate import NINETY
+from palpate.data.source.frames import name_of
+from palpate.data.source.images import printable
+from palpate.data.source.sequence import Sequence, open_sequence
+from palpate.data.source.sequence_checks import require_fit
+from palpate.estimators.contract import Preparation
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.online.sequence import SequenceTissue
-from palpate.estimators.online.settings import OnlineSettings
-from palpate.results import columns as described
+from palpate.estimators.records import FRAMES
+from palpate.estimators.result import ENDS, Quantity, values_of
 from palpate.results import store
-from palpate.results.record import FORMAT_VERSION, sha256_of, versions
+from palpate.results.record import FORMAT_VERSION, head_of, sha256_of
+
+if TYPE_CHECKING:
+    from palpate.results.run import Batch
 
 PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
@@ -42,68 +51,99 @@ def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any
     return found | {"format": FORMAT_VERSION, "code": code_digest(), "program": __version__}
 
 
-def write_sequence(
-    sequence: Sequence, settings: OnlineSettings, folder: Path, causes: Mapping[str, Any], done: Callable[[], None]
-) -> dict[str, Any]:
-    """Follow a sequence's tissue, and write what is found.
+class SequenceClip:
+    """A sequence beside a robot that is to be estimated.
 
     Args:
-        sequence: that fits together.
-        settings: of the estimator.
-        folder: of the results; files in it that this program wrote are replaced.
-        causes: what they depend on (see `causes_of`).
-        done: called after every frame.
-
-    Returns:
-        The content of `run.json`.
+        path: of the sequence.
+        batch: with the options and the estimator.
 
     Raises:
-        InputError: the sequence can't be used.
-        OutputError: the folder can't be written, or holds a user's file by one of the names.
+        ValueError: the sequence can't be used, or not with these options.
     """
-    from meshio import Mesh  # takes a quarter of a second
 
-    rows, columns, verdict, started = [], {}, "", time.perf_counter()
-    tissue = SequenceTissue(sequence, settings)
-    with store.writing(folder):
-        partial = store.partial_folder(folder)
-        for frame, field in tissue.fields():
-            number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
-            rows.append({"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict} | field.numbers())
-            cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
-            inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
-            Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
-            columns = dict(zip(PLACES, np.column_stack([field.rest, field.positions]).T, strict=True)) | values
-            done()
-        particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
-        for name, table in ((PARTICLES, particles), (store.TABLE, rows)):
-            text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
-            (partial / name).write_text(text, encoding="utf-8", newline="")
-        verdicts, names = Counter(row["verdict"] for row in rows), dict.fromkeys(name for row in rows for name in row)
-        given = {"path": str(sequence.path.resolve()), "frames": len(rows)}
-        counts = {"statuses": {"ok": len(rows)}, "verdicts": verdicts, "contacts": {verdict: 1}}
-        texts = {name: described.FRAMES.get(name, "").replace("scene units", "m") for name in names}
-        fps, seconds = 1 / float(np.median(np.diff(sequence.times))), round(time.perf_counter() - started, 4)
-        record: dict[str, Any] = {"format_version": FORMAT_VERSION, "program": store.PROGRAM} | counts
-        empty = f"{tissue.unseen} of {len(sequence.gripped)} frames show no tissue: their clouds are empty"
-        record |= {"fingerprint": digest_of(causes), "kind": "sequence", "warnings": [empty] * (tissue.unseen > 0)}
-        record["notice"] = "Research software, not a medical device."
-        record |= {"input": given | {"sha256": causes["sequence"], "fps": fps}, "estimator": causes["estimator"]}
-        record |= {"units": {"length": "m", "time": "s"}, "columns": {store.TABLE: texts}}
-        record |= {"timings_s": {"total": seconds}, "versions": versions()}
-        store.write_record(partial, record)
-        store.publish(partial, folder)
-    return record
+    files = (store.TABLE, PARTICLES, store.RECORD)
+    length, remarks = 0, ()
+
+    def __init__(self, path: Path, batch: Batch) -> None:
+        estimator: Any = batch.estimator
+        if not estimator.tells_field:
+            raise ValueError(f"{printable(path)} is a sequence, which is for --estimator online; give that.")
+        chosen = filled(Preparation, vars(batch.options))
+        for field in dataclasses.fields(chosen):
+            if getattr(chosen, field.name) not in (None, field.default) and field.name not in ("threads", "device"):
+                said = f"is for videos, and {printable(path)} is a sequence; leave it out"
+                raise ValueError(f"{flag_of(field.name)} {said}.")
+        self.name, self._sequence, self._settings = name_of(path), open_sequence(path), estimator.settings
+        require_fit(self._sequence)
+        self.causes = causes_of(self._sequence, estimator.described)
+        """What the results depend on."""
+
+    def write(self, folder: Path, done: Callable[[], None]) -> dict[str, Any]:
+        """Follow the tissue and write what is found; returns run.json's content.
+
+        Args:
+            folder: of the results; files in it that this program wrote are replaced.
+            done: called after every frame.
+
+        Raises:
+            InputError: the sequence can't be used.
+            OutputError: the folder can't be written, or holds a user's file by one of the names.
+        """
+        from meshio import Mesh  # takes a quarter of a second
+
+        rows, columns, verdict, started = [], {}, "", time.perf_counter()
+        sequence, causes = self._sequence, self.causes
+        tissue = SequenceTissue(sequence, self._settings)
+        with store.writing(folder):
+            partial = store.partial_folder(folder)
+            for frame, field in tissue.fields():
+                number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
+                said = {"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict}
+                rows.append(said | _numbers(field))
+                cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
+                inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
+                Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
+                columns = dict(zip(PLACES, np.column_stack([field.rest, field.positions]).T, strict=True)) | values
+                done()
+            particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
+            for name, table in ((PARTICLES, particles), (store.TABLE, rows)):
+                text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
+                (partial / name).write_text(text, encoding="utf-8", newline="")
+            empty = f"{tissue.unseen} of {len(sequence.gripped)} frames show no tissue: their clouds are empty"
+            texts = {name: FRAMES.columns.get(name, "").replace("scene units", "m") for row in rows for name in row}
+            record = head_of("sequence", causes) | {
+                "input": {
+                    "path": str(sequence.path.resolve()),
+                    "sha256": causes["sequence"],
+                    "frames": len(rows),
+                    "fps": 1 / float(np.median(np.diff(sequence.times))),
+                },
+                "statuses": {"ok": len(rows)},
+                "verdicts": Counter(row["verdict"] for row in rows),
+                "contacts": {verdict: 1},
+                "units": {"length": "m", "time": "s"},
+                "columns": {store.TABLE: texts},
+                "warnings": [empty] * (tissue.unseen > 0),
+                "timings_s": {"total": round(time.perf_counter() - started, 4)},
+            }
+            store.write_record(partial, record)
+            store.publish(partial, folder)
+        return record
+
+
+def _numbers(field: ParticleField) -> dict[str, Any]:
+    """Columns of a frame, those of how much is known first."""
+    found = values_of(field.numbers)
+    return {name: found[name] for name in sorted(found, key=lambda name: "stiffness" in name)}
 
 
 def _values(field: ParticleField) -> dict[str, Any]:
     """Of every particle: both stiffnesses with the ends of their intervals where they are known."""
     found: dict[str, Any] = {}
-    for name, fitted, log_sd, known in (
-        ("stiffness", field.distance, field.distance_log_sd, field.known),
-        ("shape_stiffness", field.shape, field.shape_log_sd, field.shape_known),
-    ):
-        value, factor = np.where(known, fitted, np.nan), np.exp(NINETY * log_sd)
-        found |= {name: value, f"{name}_low": value / factor, f"{name}_high": value * factor}
-        found[f"simulated_{name}"] = fitted
+    for column, fitted in field.maps.items():
+        name = column.removeprefix("distance_")
+        value = Quantity(np.where(fitted.known, fitted.value, np.nan), fitted.log_sd)
+        found |= {f"{name}{end}": value.end(side) for end, side in ENDS.items()}
+        found[f"simulated_{name}"] = fitted.value
     return found

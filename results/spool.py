@@ -1,4 +1,4 @@
-"""Frames that wait on disk until it is known what is to be drawn on them; memory does not grow with their number."""
+"""Frames that wait on disk until it is known what is to be shown of them; memory does not grow with their number."""
 
 import pickle
 import tempfile
@@ -9,17 +9,17 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from palpate.estimators.records import FrameEstimate
+from palpate.estimators.online.particle_field import ParticleField
 
 
-class Waiting(NamedTuple):
-    """A frame that is to be drawn."""
+class Shown(NamedTuple):
+    """What a frame shows."""
 
     image: np.ndarray | None
-    """RGB, uint8 [H, W, 3]; None where it could not be read."""
+    """RGB, uint8 [H, W, 3]; None where it could not be read or isn't needed."""
     labels: np.ndarray | None
     """Label map, uint8 [h, w]; None where there is none."""
-    estimate: FrameEstimate
+    field: ParticleField | None
 
 
 class FrameSpool:
@@ -34,25 +34,25 @@ class FrameSpool:
 
     def __init__(self, folder: Path) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 (closed by `close`)
-        self._estimates: list[FrameEstimate] = []
+        self._count = 0
 
     def __len__(self) -> int:
-        return len(self._estimates)
+        return self._count
 
-    def add(self, frame: Waiting) -> None:
+    def add(self, frame: Shown) -> None:
         """Append a frame."""
         bgr = None if frame.image is None else cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
         image = None if bgr is None else cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
-        pickle.dump((image, frame.labels), self._file)
-        self._estimates.append(frame.estimate)
+        pickle.dump((image, *frame[1:]), self._file)
+        self._count += 1
 
-    def drain(self) -> Iterator[Waiting]:
+    def drain(self) -> Iterator[Shown]:
         """All frames, once; the spool is empty then."""
-        estimates, self._estimates = self._estimates, []
+        count, self._count = self._count, 0
         self._file.seek(0)
-        for estimate in estimates:
-            image, labels = pickle.load(self._file)
-            yield Waiting(None if image is None else cv2.imdecode(image, cv2.IMREAD_COLOR_RGB), labels, estimate)
+        for _ in range(count):
+            image, *others = pickle.load(self._file)
+            yield Shown(None if image is None else cv2.imdecode(image, cv2.IMREAD_COLOR_RGB), *others)
         self._file.seek(0)
         self._file.truncate()
 

@@ -6,10 +6,11 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import tempfile
 import unicodedata
 from collections.abc import Generator, Iterable, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,6 @@ PAGES = "index.html", "page.html"
 """Page of a batch in its folder, and of a clip in that clip's; listed as this program's by `common.output`."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
-SCENE = re.compile(r"scene_\d+(\.pvd|\.ply|_\d+\.vtu)|particles_\d+\.(vtk|ply)|particles\.csv")
-"""Names of the files that --export writes there, and of a sequence's particles."""
-WRITTEN = (TABLE, INTERACTIONS, REPORT, *BAGS.values(), FIELDS, CALIBRATED, OVERLAY, FIT, RECORD)
-"""All that is ever written into a clip's folder besides scenes, in the order in which it gets there; any other file is
-a user's."""
 MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"
@@ -155,8 +151,7 @@ def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overw
     """
     record = read_record(folder)
     same = record.get("fingerprint") == fingerprint
-    scenes = filter(SCENE.fullmatch, own_files(folder))
-    if same and not overwrite and all(_is_as_recorded(folder / name) for name in (*files, *scenes)):
+    if same and not overwrite and all(_is_as_recorded(folder / name) for name in {*files, *own_files(folder)}):
         return True
     if record and not same and not overwrite:
         raise OutputError(
@@ -181,7 +176,8 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Store a run record, and the hashes of the files that lie next to it, as JSON."""
-    files = {name: file_sha256(folder / name) for name in _names(folder) if (folder / name).is_file()}
+    names = (name for name in sorted(os.listdir(folder)) if name not in (MARKER, RECORD))
+    files = {name: file_sha256(folder / name) for name in names if (folder / name).is_file()}
     document = as_json({**record, "files": files}, indent=2, ensure_ascii=False)
     # File names that are not UTF-8 become \udcXX, which is JSON's own way to write them.
     (folder / RECORD).write_bytes((document + "\n").encode("utf-8", "backslashreplace"))
@@ -189,13 +185,8 @@ def write_record(folder: Path, record: Mapping[str, Any]) -> None:
 
 def own_files(folder: Path) -> list[str]:
     """Names of the files that the folder's record says this program wrote, its own last; none without a record."""
-    files = read_record(folder).get("files")
-    return [name for name in (*filter(SCENE.fullmatch, files), *WRITTEN) if name in (*files, RECORD)] if files else []
-
-
-def _names(folder: Path) -> list[str]:
-    """Names of the scenes in a folder and of all else that may be written there, but for the record."""
-    return [*filter(SCENE.fullmatch, sorted(os.listdir(folder))), *WRITTEN[:-1]]
+    files = read_record(folder).get("files", {})
+    return [*(name for name in files if os.path.basename(name) == name), RECORD] if files else []
 
 
 def partial_folder(folder: Path) -> Path:
@@ -216,11 +207,9 @@ def publish(partial: Path, folder: Path) -> None:
         OutputError: a file there has one of our names but is not as this program wrote it.
     """
     if not read_record(folder):
-        if set(os.listdir(partial)) <= {*_names(partial), RECORD, MARKER}:
-            os.replace(partial, folder)
-            (folder / MARKER).unlink()
-            return
-        folder.mkdir(exist_ok=True)  # a user's file in the hidden folder stays there
+        os.replace(partial, folder)
+        (folder / MARKER).unlink()
+        return
     written = own_files(partial)
     new = [name for name in written if (partial / name).exists()]
     _require_untouched(folder, new)
@@ -229,7 +218,7 @@ def publish(partial: Path, folder: Path) -> None:
             (folder / name).unlink()
     for name in new:
         os.replace(partial / name, folder / name)
-    _discard(partial)
+    shutil.rmtree(partial)
 
 
 def settle(folder: Path) -> None:
@@ -244,20 +233,12 @@ def settle(folder: Path) -> None:
         if own_files(partial) and (not folder.exists() or _source(partial) == _source(folder)):
             publish(partial, folder)
         else:
-            _discard(partial)
+            shutil.rmtree(partial)
 
 
 def _source(folder: Path) -> str | None:
     """Input of our results in a folder; None where there are none."""
     return read_record(folder).get("input", {}).get("path")
-
-
-def _discard(partial: Path) -> None:
-    """Remove a hidden folder's files that are ours, those being written included, and the folder if it is empty."""
-    for name in (*_names(partial), RECORD, *(f".{name}.partial" for name in WRITTEN), MARKER):
-        (partial / name).unlink(missing_ok=True)
-    with suppress(OSError):  # a user's file is in it
-        partial.rmdir()
 
 
 def _is_as_recorded(path: Path) -> bool:

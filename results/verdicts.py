@@ -1,22 +1,72 @@
 """How pictures show a result: its verdict before its numbers, and no number surer than it is."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from palpate.common.files import read_beside
 from palpate.estimators.estimate import SYMBOLS
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.mechanics import PARAMETERS
 
 Color = tuple[int, int, int]
 
-_TEXTS = read_beside(__file__)
-COLORS: dict[str, Color] = {name: tuple(color) for name, color in _TEXTS["colors"].items()}
-"""One colour (RGB) a verdict, a fit that can't be trusted or is missing, and a status without verdict."""
-MEANINGS: dict[str, str] = _TEXTS["meanings"]
-"""What the verdicts say, a sentence each."""
-ALARMS: dict[str, dict[str, Any]] = _TEXTS["alarms"]
-"""What is said of the alarm, and the colour of the picture's edge where it has one."""
+
+@dataclass(frozen=True)
+class Note:
+    """What a verdict or a status means, and what to do about it."""
+
+    color: Color
+    """The same in all pictures (RGB); only `determined` is green."""
+    text: str = ""
+    remedy: str = ""
+
+
+# fmt: off
+NOTES = {
+    "determined": Note((22, 163, 74), "Stiffness, damping and force are determined; ± is the 90 % interval.",
+        "Use all three, each with its 90 % interval."),
+    "ratios": Note((37, 99, 235), "Only k_s/k_d and |F|/k_d are determined; ± is the 90 % interval.",
+        "Use k_d/k_s (a time) and F/k_s (a length), not k_s, k_d or F themselves. One known force or stiffness "
+        "gives all three (--force-scale)."),
+    "relative_force": Note((76, 90, 140), "Only how the force at the grip changes over time is determined.",
+        "Use that and no more. A force that was measured for a while gives newtons (--force-scale)."),
+    "stiffness_ratios": Note((79, 70, 229),
+        "Only where tissue is stiffer or softer is determined, where it is coloured.",
+        "Use the map of where tissue is stiffer."),
+    "onset_in_view": Note((129, 140, 248), "The onset was observed; the model does not say what is determined.",
+        "Take the numbers as a hint; --estimator network or direct says how sure they are."),
+    "undetermined": Note((217, 119, 6), "Not determined by what was observed so far.",
+        "Use only what is named as determined, if anything. The onset of contact is not in view, depth is too "
+        "noisy, or the model does not explain the motion: try --estimator direct, or give depth of your own."),
+    "doubtful": Note((217, 119, 6)),
+    "no_estimate": Note((107, 114, 128), "",
+        "Use nothing of it. Often the clip begins in contact, or the instrument's mask is wrong: look at the "
+        "overlay."),
+    "ok": Note((107, 114, 128), "An instrument touches tissue."),
+    "no_contact": Note((147, 197, 253), "An instrument is in view and does not touch tissue.",
+        "If it does touch, look at the overlay: does the mask's outline reach the tissue?"),
+    "no_tool": Note((203, 213, 225), "No instrument is seen.",
+        "If one is in view, outline it in one frame or give masks (--masks)."),
+    "no_tissue": Note((148, 163, 184), "No tissue is seen.",
+        "Look at the overlay; if tissue is in view, give masks of your own (--masks)."),
+    "bad_depth": Note((220, 38, 38), "Depth is missing or unusable.",
+        "Check the depth files, or let depth be estimated (--depth photometric)."),
+    "unreadable": Note((17, 24, 39), "The picture can't be read.",
+        "Copy or export the video again; what is said of the other frames stands."),
+    "no_mask": Note((147, 51, 234), "There is no mask of this frame.",
+        "Complete the masks, or give --masks automatic."),
+    "repeated": Note((100, 116, 139),
+        "The picture, or its depth, is that of the frame before: nothing was measured.",
+        "Record at the rate at which the camera gives pictures; what is said of the other frames stands."),
+}
+# fmt: on
+"""Of every verdict, of a fit that can't be trusted or is missing, and of every status without verdict."""
+ALARMS: dict[str, tuple[str, Color | None]] = {
+    "below": ("Force limit: below.", None),
+    "above": ("Force limit: ABOVE.", (220, 38, 38)),
+    "unknown": ("Force limit: unknown, neither safe nor unsafe.", (250, 204, 21)),
+}
+"""What is said of the alarm, and the colour of the picture's edge."""
 
 
 def state(said: FrameEstimate | InteractionEstimate) -> str:

@@ -83,8 +83,8 @@ def blank_module() -> Iterator[None]:
 
 def draw_nothing(patch: pytest.MonkeyPatch) -> None:
     for draw in ("draw_fits",):
-        patch.setattr(f"palpate.results.writer.{draw}", lambda *_, **__: None)
-    patch.setattr("palpate.results.writer.write_figure", lambda path, _: path.write_bytes(b"a picture"))
+        patch.setattr(f"palpate.results.artefacts.fit.{draw}", lambda *_, **__: None)
+    patch.setattr("palpate.results.artefacts.fit.write_figure", lambda path, _: path.write_bytes(b"a picture"))
 
 
 @pytest.fixture

@@ -47,7 +47,7 @@ FENCES = {
     "cv2": ("data/", "results/", "benchmarks/"),
     "matplotlib": (
         "planning/pictures.py",
-        "results/plots.py",
+        "results/artefacts/fit.py",
         "results/paper/",
         "benchmarks/",
     ),
@@ -211,7 +211,7 @@ def test_libraries_stay_behind_their_fence(library: str) -> None:
 @pytest.mark.parametrize(
     ("library", "user"),
     [
-        ("matplotlib", "palpate.results.plots"),
+        ("matplotlib", "palpate.results.artefacts.fit"),
         ("scipy.stats", "palpate.estimators.direct.sampling"),
         ("jinja2", "palpate.results.page.render"),
     ],

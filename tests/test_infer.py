@@ -25,9 +25,9 @@ from palpate.data.source.layout import ClipLayout
 from palpate.data.synthetic.clip import write_clip as write_synthetic
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.tool import SHAFT_RADIUS
-from palpate.estimators.estimate import NINETY
+from palpate.estimators.records import CONTACTS, FRAMES
+from palpate.physics.identifiability import NINETY
 from palpate.physics.mechanics import PARAMETERS
-from palpate.results.columns import FRAMES, INTERACTIONS
 from palpate.results.store import BAGS
 from palpate.results.writer import ClipResults
 from tests.data.bags import BEGIN, RATE, write_bag
@@ -217,7 +217,7 @@ def test_unexpected_error_is_one_sentence_unless_debugging(inputs, tmp_path, mon
     def fail(*_: object) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr("palpate.results.run.open_source", fail)
+    monkeypatch.setattr("palpate.results.video.open_source", fail)
     assert call(inputs, tmp_path, clips="clips/drawn.mp4") == 1
     said = capsys.readouterr().err.strip()
     assert said.startswith("failed: ")
@@ -269,7 +269,7 @@ def direct(clips: Path, output: Path, *options: str) -> int:
 def test_a_contact_with_known_truth_is_recovered_within_its_uncertainty(done, synthetic):
     (row,) = runs(done)
     truth = json.loads((synthetic / "video01_00000" / "truth.json").read_text(encoding="utf-8"))
-    assert list(row) == list(INTERACTIONS)
+    assert list(row) == list(CONTACTS.columns)
     assert (row["status"], row["verdict"], row["detail"], row["at_bound"]) == ("ok", "determined", "", "")
     assert float(row["onset_time_s"]) == pytest.approx(truth["onset_s"])
     assert int(row["onset_frame"]) == round(truth["onset_s"] * 25)
@@ -303,7 +303,7 @@ def test_every_frame_has_a_row_the_record_says_what_was_done_and_the_picture_sho
     assert found["contacts"] == {"determined": 1}
     assert found["units"]["stiffness"] == "scene units (normalised), not N/m"
     assert found["notice"] == "Research software, not a medical device."
-    assert found["columns"] == {"parameters.csv": FRAMES, "interactions.csv": INTERACTIONS}
+    assert found["columns"] == {"parameters.csv": FRAMES.without("alarm").columns, "interactions.csv": CONTACTS.columns}
     assert {"decode", "geometry", "tracking", "fit", "overlay", "total"} <= set(found["timings_s"])
     picture = cv2.imread(str(done / "fit.png"))[..., ::-1]
     assert picture.shape[1] == 1500
@@ -320,7 +320,7 @@ def test_every_estimator_writes_the_same_files(estimator, inputs, synthetic, don
         assert infer.main([*arguments, *model]) == 0
         folder = tmp_path / "out" / "video01_00000"
     assert sorted(path.name for path in folder.iterdir()) == FILES
-    assert list(rows(folder)[0]) == list(FRAMES)
+    assert list(rows(folder)[0]) == list(FRAMES.without("alarm").columns)
     assert [(row["onset_frame"], row["status"]) for row in runs(folder)] == [(runs(done)[0]["onset_frame"], "ok")]
     found = record(folder)
     assert found["estimator"]["name"] == estimator
@@ -371,7 +371,9 @@ def test_without_a_noise_level_the_options_that_give_one_are_named(synthetic, tm
     assert row["status"] == "no_estimate"
     assert row["detail"] == "The depth's noise isn't known; set --smoothing above 0, or give --noise."
     assert f"video01_00000: no estimate of 1 of 1 contact: {row['detail']}" in flat(capsys.readouterr().err)
-    assert {row[name] for name in INTERACTIONS if name.startswith(("stiff", "damp", "force", "verd", "misf"))} == {""}
+    assert {row[name] for name in CONTACTS.columns if name.startswith(("stiff", "damp", "force", "verd", "misf"))} == {
+        ""
+    }
     assert int(row["frames"]) > 10
     # A noise of one's own makes another result of it, which takes the first one's place only when asked.
     noise = ("--no-overlay", "--smoothing", "4", "--noise", "0.002")
@@ -414,7 +416,7 @@ def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
         assert (said["limit"], said["unit"], said["alarms"]) == (
             float(limit), "scene units (normalised), not N", int(state == "above"),
         )  # fmt: skip
-        assert list(record(folder)["columns"]["parameters.csv"]) == [*FRAMES, "alarm"]
+        assert list(record(folder)["columns"]["parameters.csv"]) == list(FRAMES.columns)
         assert f"reached the limit {limit} in scene units" in flat(capsys.readouterr().err)
     assert infer.main([*arguments, "0.2"]) == 1  # other results, which replace these only when asked
     capsys.readouterr()

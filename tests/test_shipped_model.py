@@ -9,10 +9,10 @@ import pytest
 from palpate.command.infer import main
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.estimator import NetworkEstimator
 from palpate.estimators.open import open_estimator
 from palpate.models.onnx_session import SHIPPED
+from palpate.physics.identifiability import NINETY
 from tests.tables import read_rows
 
 LARGEST = 3.5e6

@@ -63,8 +63,8 @@ def evaluate_pull(clip: PulledClip) -> Row:
     runs = [item for item in outputs if isinstance(item, InteractionEstimate)]
     measures: Row = {"status": OK, "frames": len(frames)}
     measures["frames in contact"] = sum(item.contact is True for item in frames)
-    known = [item for item in frames if item.contact_probability is not None]
-    measures |= {f"contact_frame_{item.frame:04d}": item.contact_probability for item in known}
+    known = [item for item in frames if item.touch.contact_probability is not None]
+    measures |= {f"contact_frame_{item.frame:04d}": item.touch.contact_probability for item in known}
     gripped = [(run, run.grip) for run in runs if run.grip is not None]
     if not gripped:
         return measures | {"status": " ".join(run.detail for run in runs) or "No run of contact was found."}

@@ -14,7 +14,7 @@ from benchmarks.harness import Row
 from benchmarks.recovery.scores import coverage, rms
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene
-from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
 COLUMNS = ("suite", "quantity", "n", "rmse", "coverage90", "value")
@@ -51,7 +51,7 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
     return np.append(False, steps > 1.0)
 
 
-def force_curve(onset: int, grip: GripEstimate, reaction: np.ndarray, fps: float) -> np.ndarray:
+def force_curve(onset: int, grip: PullResult, reaction: np.ndarray, fps: float) -> np.ndarray:
     """Force over that of the last frame: true, estimated, its standard deviation, shape [3, T].
 
     Args:

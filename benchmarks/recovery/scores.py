@@ -15,9 +15,8 @@ import pandas as pd
 from benchmarks.harness import OK, Row
 from benchmarks.recovery.bounds import known
 from palpate.data.synthetic.truth import REGIMES
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.onset import STAMP
-from palpate.physics.identifiability import LIMIT, RATIOS, covariance
+from palpate.physics.identifiability import LIMIT, NINETY, RATIOS, covariance
 from palpate.physics.mechanics import PARAMETERS
 
 QUANTITIES = (*PARAMETERS, "stiffness/damping", "force/damping")

@@ -25,7 +25,7 @@ from palpate.estimators.direct.problem import (
     suiting_forces,
 )
 from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressCourse, PressResult
 from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.load import PressShape
@@ -42,7 +42,7 @@ holds more pliable tissue than there is; two thirds and more gave the most right
 
 def concluded(
     problem: SequenceProblem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None
-) -> Estimate:
+) -> PressResult:
     """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
 
     Args:
@@ -61,19 +61,21 @@ def concluded(
     trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
     delays = mean[motion.delays]
     # The model does not explain what lies farther from its best fit than this many σ.
-    found = Estimate(
+    found = PressResult(
         theta=motion.theta(mean),
         covariance=spread[:3, :3],
-        shape=motion.shape(mean),
         information=information[:3, :3],
         expected_information=trusted,
         noise=problem.sigma,
         misfit=problem.misfit(best.logs),
         largest_misfit=1.5,
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
-        delays=tuple((motion.within * delays).tolist()),
-        delays_at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
-        view_angle=view_angle(problem.contact),
+        course=PressCourse(
+            *(motion.within * delays).tolist(),
+            at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
+            shape=motion.shape(mean),
+            view_angle=view_angle(problem.contact),
+        ),
     )
     if not is_oblique(found):
         return found
@@ -122,7 +124,7 @@ def field_optima(problem: SequenceProblem, tissue: np.ndarray) -> list[Optimum]:
     return optima
 
 
-def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray) -> Estimate:
+def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
     """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -138,7 +140,7 @@ def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray)
 
 def fit_press(
     contact: Interaction, mechanics: Mechanics, within: float, noise: float | None, tissue: np.ndarray, tries: int = 2
-) -> Estimate:
+) -> PressResult:
     """Fit a depth-change sequence by a step on the contact vertex and, where that is refuted, by a press of any shape.
 
     The shape (`estimators.direct.patch`) is kept where it explains more than so many further parameters would by
@@ -160,9 +162,10 @@ def fit_press(
     if tries and any(aside):
         found = fit_press(elsewhere, mechanics, within, noise, tissue, tries - 1)
         if found.misfit < misfit:
-            shape = found.shape or PressShape(RADII[0])
+            shape = found.course.shape or PressShape(RADII[0])
             row, column = np.add(shape.offset, aside).tolist()
-            return dataclasses.replace(found, shape=dataclasses.replace(shape, offset=(row, column)))
+            shape = dataclasses.replace(shape, offset=(row, column))
+            return dataclasses.replace(found, course=dataclasses.replace(found.course, shape=shape))
     patch = SequenceProblem(contact, mechanics, within, noise, PatchMotion)
     shaped = sampled(patch, field_optima(patch, tissue), tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]

@@ -23,7 +23,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
 from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.motion import FITTED
-from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import PressSettings, onset_error
 from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
@@ -117,7 +117,7 @@ class DirectSession(RunSession):
     def _follows(self, run: Run) -> bool:
         return True
 
-    def fit(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray]]:
+    def fit(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray]]:
         """Fit θ to one contact; gives the estimate and the simulated motion, as of `simulated_motion`.
 
         Where the beginning of the press isn't known its delay is fitted as well, and the information is what there
@@ -139,15 +139,15 @@ class DirectSession(RunSession):
         found = fit_press(contact, self.mechanics, within, estimator.settings.noise, estimator.log_box)
         return found, simulated_motion(contact, found, self.mechanics)
 
-    def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
+    def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:
         with self.timed("fit"):
             found, motion = self.fit(contact)
         return found, motion, doubts(found, self.estimator.bounds)
 
 
-def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
+def simulated_motion(contact: Interaction, found: PressResult, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
     """Times from the first frame in contact to the last observation [s], and the motion along the force, [T] each."""
-    delay = (*found.delays, 0.0)[0]
+    delay = found.course.delays[0]
     steps = contact.steps + math.ceil(max(-delay, 0.0) / mechanics.time_step)
     press = fitted_press(contact, found, mechanics.time_step, steps)
     moved = simulate(found.theta, contact.mesh, press, mechanics, watch=np.array([contact.vertex]))[:, 0]
@@ -157,16 +157,16 @@ def simulated_motion(contact: Interaction, found: Estimate, mechanics: Mechanics
     return times, np.interp(times, began, np.concatenate([[0.0], path]))
 
 
-def fitted_press(contact: Interaction, found: Estimate, time_step: float, steps: int) -> Press:
+def fitted_press(contact: Interaction, found: PressResult, time_step: float, steps: int) -> Press:
     """The load of an estimate over so many steps [s] from the beginning of the press, which its delays tell."""
-    delay, release = (*found.delays, 0.0, 0.0)[:2]
+    delay, release = found.course.delays
     seconds = contact.load_seconds + release - delay if contact.released else math.inf
-    if found.shape is None:
+    if found.course.shape is None:
         return dataclasses.replace(contact.load, factor=held(seconds / time_step, steps))
-    return found.shape.press(contact.mesh, contact.vertex, contact.direction, seconds, time_step, steps)
+    return found.course.shape.press(contact.mesh, contact.vertex, contact.direction, seconds, time_step, steps)
 
 
-def doubts(found: Estimate, bounds: Bounds) -> str:
+def doubts(found: PressResult, bounds: Bounds) -> str:
     """Sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
     oblique = remark(found)
     sentences = [oblique] if oblique else []
@@ -178,7 +178,7 @@ def doubts(found: Estimate, bounds: Bounds) -> str:
             # An oblique one was widened by its misfit.
             + ("." if oblique else ", so the uncertainties are too small.")
         )
-    if found.delays_at_end:
+    if found.course.at_end:
         sentences.append(
             "The press seems to have begun or ended a whole frame from where it was seen to; don't trust the fit."
         )

@@ -17,7 +17,7 @@ from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, distinct, evenly_spread, find_optimum
 from palpate.estimators.direct.shading import OTHERS, ShadingProblem
-from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.estimate import LightFit, NoEstimate, PressCourse, PressResult
 from palpate.physics.identifiability import NINETY, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
@@ -62,7 +62,7 @@ WITHIN = 1.5
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
 def fit_shading(
     contact: Interaction, frame_seconds: float
-) -> tuple[Interaction, Estimate, tuple[np.ndarray, np.ndarray]]:
+) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
     """Fit a contact's brightness sequence by a press on a plane: a step on a point, or a force on a patch.
 
     Args:
@@ -190,7 +190,7 @@ def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: in
     return -problem.skill, logs
 
 
-def _concluded(problem: ShadingProblem, logs: np.ndarray) -> Estimate:
+def _concluded(problem: ShadingProblem, logs: np.ndarray) -> PressResult:
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
     box, motion = problem.box(TISSUE), problem.motion
     prior = box_information(box)
@@ -208,18 +208,20 @@ def _concluded(problem: ShadingProblem, logs: np.ndarray) -> Estimate:
         refuted = (
             f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
         )
-    return Estimate(
+    return PressResult(
         theta=motion.theta(mean),
         covariance=covariance[:3, :3] + model_error,
         information=about_tissue(best.information, prior),
         noise=problem.noise,
         misfit=problem.noise / max(problem.sequence.noise, 1e-9),
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
-        delays=tuple((motion.within * best.logs[motion.delays]).tolist()),
-        delays_at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
-        by_light=True,
-        left=1 - problem.skill,
-        lag=float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0,
-        shape=motion.shape(mean[:-OTHERS]),
+        course=PressCourse(
+            *(motion.within * best.logs[motion.delays]).tolist(),
+            at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
+            shape=motion.shape(mean[:-OTHERS]),
+        ),
+        light=LightFit(
+            1 - problem.skill, float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0
+        ),
         refuted=refuted,
     )

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimators.estimate import LEAST_SKILL
-from palpate.physics.identifiability import LIMIT
+from palpate.estimators.result import ENDS, LEAST_SKILL
+from palpate.physics.identifiability import LIMIT, NINETY
 
 LEAST_LEAD = 0.1
 """Least lead over the skill of a grip far from the instrument: any motion spreads smoothly."""
@@ -14,7 +14,7 @@ HELD = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class GripEstimate:
+class PullResult:
     """Fit of a sheet on a foundation to a pull; T frames that move.
 
     A displacement alone determines neither k_s nor k_d nor a force in any unit.
@@ -30,6 +30,7 @@ class GripEstimate:
     """Force at the grip over that of the last frame, along its direction, shape [T]."""
     force_sd: np.ndarray
     """Standard deviation of `force`, shape [T]; 0 in the last frame."""
+    explanation: str = ""
 
     @property
     def explained(self) -> bool:
@@ -45,6 +46,11 @@ class GripEstimate:
     def verdict(self) -> str:
         """`relative_force` or `undetermined`."""
         return "relative_force" if self.determined else "undetermined"
+
+    @property
+    def curves(self) -> np.ndarray:
+        """Force and the ends of its 90 % interval, shape [3, T]."""
+        return self.force + np.outer([*ENDS.values()], NINETY * self.force_sd)
 
 
 def force_error(force: np.ndarray, skill: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.grip.grip_estimate import GripEstimate, force_error
+from palpate.estimators.grip.grip_estimate import PullResult, force_error
 from palpate.estimators.grip.lattice import LEAST_GRIPPED, LEAST_MOTION, GripFrame, fit_sheets
 
 DRIVEN = 24.0
@@ -69,7 +69,7 @@ class GripRecorder:
         if len(self._kept) > MOST_KEPT:
             self._kept, self._every = self._kept[1::2], 2 * self._every
 
-    def estimate(self) -> GripEstimate:
+    def estimate(self) -> PullResult:
         """Fit the sheet: skill on the second half of the motion by the first half's α, the force by all frames.
 
         Raises:
@@ -101,7 +101,7 @@ class GripRecorder:
         force_sd = np.hypot(spread, 0.32 * force_error(force, found))
         force_sd[-1] = 0.0  # the last frame's ratio is 1 by definition
         rival = self._rival_skill(seen, int(gripped.sum()), own)
-        return GripEstimate(found, rival, times, force, force_sd)
+        return PullResult(found, rival, times, force, force_sd)
 
     def _rival_skill(self, seen: np.ndarray, count: int, own: np.ndarray) -> float:
         """Skill of a grip around the point that moves most far from the tool; -∞ where too little moves there.

@@ -15,7 +15,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.windows import FrameWindow
 from palpate.estimators.contract import ClipInfo, Output, Preparation
-from palpate.estimators.estimate import Estimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate, PressCourse, PressResult
 from palpate.estimators.model_settings import ModelEstimator, ModelSettings
 from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
@@ -85,7 +85,6 @@ class NetworkEstimator(ModelEstimator):
             model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
         )
         """Shortest and longest press that the network was trained on [s]."""
-
         self.force_seconds = min(self.press_seconds[1], self.mechanics.seconds)
 
     @property
@@ -122,7 +121,7 @@ class NetworkEstimator(ModelEstimator):
             raise NoEstimate(TOO_EARLY)
         return contact
 
-    def judged(self, contact: Interaction, mechanics: Mechanics, within: float, *outputs: np.ndarray) -> Estimate:
+    def judged(self, contact: Interaction, mechanics: Mechanics, within: float, *outputs: np.ndarray) -> PressResult:
         """The estimate of a contact from the network's outputs, with how well it explains the motion.
 
         Args:
@@ -137,9 +136,10 @@ class NetworkEstimator(ModelEstimator):
         # A mean closer to a bound than this share of the box (in logarithms) counts as at the bound.
         at_bound = np.minimum(mean - box[0], box[1] - mean) < 0.02 * (box[1] - box[0])
         known: dict[str, Any] = {"noise": noise, "misfit": misfit, "at_bound": at_bound, "information": information}
-        known |= {"largest_misfit": largest_misfit(len(contact.observation)), "view_angle": view_angle(contact)}
+        known |= {"largest_misfit": largest_misfit(len(contact.observation))}
+        known |= {"course": PressCourse(view_angle=view_angle(contact))}
         known["refuted"] = UNRESOLVED if blurred else ""
-        return Estimate(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
+        return PressResult(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
 
 
 class NetworkSession(RunSession):
@@ -173,7 +173,7 @@ class NetworkSession(RunSession):
                 self._depths.append((since, depth))
         yield self._frame(frame, run, depth)
 
-    def estimate(self, contact: Interaction, depth: np.ndarray | None) -> Estimate:
+    def estimate(self, contact: Interaction, depth: np.ndarray | None) -> PressResult:
         """Posterior of a contact from its observation.
 
         Args:
@@ -209,20 +209,20 @@ class NetworkSession(RunSession):
         lengths = self._lengths(found, contact, frame, run.builder)
         return frame_estimate(frame, self.clip, found, lengths=lengths, doubts=_doubts(found), arrow=arrow)
 
-    def _whole(self, contact: Interaction) -> tuple[Estimate, tuple[np.ndarray, np.ndarray], str]:
+    def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:
         known = self.estimator.as_trained(contact)
         last = known.observation.times[-1] + TIME_TOLERANCE
         depth = next((window for since, window in reversed(self._depths) if since <= last), None)
         found = self.estimate(known, depth)
         return found, self._simulated(found, contact), _doubts(found)
 
-    def _simulated(self, found: Estimate, contact: Interaction) -> tuple[np.ndarray, np.ndarray]:
+    def _simulated(self, found: PressResult, contact: Interaction) -> tuple[np.ndarray, np.ndarray]:
         path = simulate(found.theta, contact.mesh, contact.load.until(contact.steps), self.mechanics)
         times = self.mechanics.time_step * np.arange(1, len(path) + 1)
         return times, path @ np.asarray(contact.direction, np.float64)
 
     def _lengths(
-        self, found: Estimate, contact: Interaction, frame: PreparedFrame, builder: InteractionBuilder
+        self, found: PressResult, contact: Interaction, frame: PreparedFrame, builder: InteractionBuilder
     ) -> tuple[float | None, float | None]:
         """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
         steps = round((frame.frame.time_s - builder.start) / self.mechanics.time_step)
@@ -238,7 +238,7 @@ class NetworkSession(RunSession):
         return float(np.linalg.norm(path[-1])), observed
 
 
-def _doubts(found: Estimate) -> str:
+def _doubts(found: PressResult) -> str:
     """Sentences on why the estimate may be wrong."""
     doubt = "" if found.explained else found.refuted or UNEXPLAINED.format(found.misfit)
     return f"{doubt} {remark(found)}".strip()

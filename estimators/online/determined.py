@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import length
 from palpate.estimators.online.knots import knot_shares
 from palpate.estimators.online.objective import Objective
+from palpate.estimators.result import LEAST_SKILL
 from palpate.physics.identifiability import LIMIT
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.simulation import Stepping

@@ -7,7 +7,6 @@ from contextlib import suppress
 import numpy as np
 from scipy.spatial import KDTree
 
-from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.grip.lattice import GripFrame, NothingMoves
 from palpate.estimators.grip.recorder import DRIVEN
 from palpate.estimators.online.determined import BENDINGS, Determined, Fit, Fitting, uniform
@@ -16,6 +15,7 @@ from palpate.estimators.online.objective import Chamfer, Match, Objective, Track
 from palpate.estimators.online.session import Frame, Session
 from palpate.estimators.online.settings import MOST_FITTED, OnlineSettings, Start
 from palpate.estimators.online.surface import Surface
+from palpate.estimators.result import LEAST_SKILL
 
 Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""

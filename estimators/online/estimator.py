@@ -7,7 +7,6 @@ them.
 """
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,18 +26,12 @@ from palpate.data.tracks.following import PointFollower
 from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
-from palpate.estimators.online.particle_field import FieldEstimate, ParticleField
+from palpate.estimators.online.particle_field import FieldResult, ParticleField, StiffnessMap
 from palpate.estimators.online.settings import OnlineSettings, load_settings
 from palpate.estimators.online.surface import make_surface
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
-
-NUMBERS = (
-    *("skill", "field_known", "shape_known"),
-    *(f"{name}{end}" for name in ("distance_stiffness", "shape_stiffness") for end in ("_low", "", "_high")),
-)
-"""Of `ParticleField.numbers`: what is drawn over a run's frames."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +97,6 @@ class _Followed:
         self._background = np.zeros_like(surface.pixels)
         self._gap: float | None = None
         self._times = [first.frame.time_s]
-        self._numbers: dict[str, list[float]] = {name: [] for name in NUMBERS}
 
     def step(self, frame: PreparedFrame) -> None:
         """Follow the tissue into a frame, and take it in."""
@@ -132,31 +124,21 @@ class _Followed:
             f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
         )
 
-    def estimate(self) -> FieldEstimate:
+    def estimate(self) -> FieldResult:
         """What the run tells by now."""
         driven = self._driven
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
-        numbers, stretched = {name: np.array(values) for name, values in self._numbers.items()}, driven.stretched.any()
         skills = driven.skills() if len(times) > 2 else {}
-        return FieldEstimate(self.field(), times, course, numbers, bool(stretched), driven, skills)
-
-    def frame_field(self) -> ParticleField:
-        """As it is in the frame that was taken in last; called once for each."""
-        found = self.field()
-        numbers = found.numbers()
-        for name, course in self._numbers.items():
-            course.append(numbers.get(name, math.nan))
-        return found
+        return FieldResult(self.field(), times, course, bool(driven.stretched.any()), driven, skills)
 
     def field(self) -> ParticleField:
         """As it is now."""
         surface, session = self._driven.surface, self._driven.session
-        (distance_sd, shape_sd), (known, shape_known) = self._driven.determined()
         size = surface.camera.height, surface.camera.width
         pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
         tissue = surface.body.rest, surface.faces, surface.body.tetrahedra, session.positions, pixels
-        fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
-        return ParticleField(self._number, *tissue, *fields, self._driven.alone.skill, self._gap)
+        maps = map(StiffnessMap, session.fields[:2], *self._driven.determined())
+        return ParticleField(self._number, *tissue, *maps, self._driven.alone.skill, self._gap)
 
 
 class OnlineSession(RunSession):
@@ -196,7 +178,7 @@ class OnlineSession(RunSession):
             self._driven.step(frame)
         else:
             return None
-        return None if self._driven is None else self._driven.frame_field()
+        return None if self._driven is None else self._driven.field()
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         """What was observed of a run, and what its field comes to in a sentence."""

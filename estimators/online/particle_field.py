@@ -6,9 +6,54 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.forecast import FIELD, SHEET
+from palpate.estimators.result import LEAST_SKILL, column
+
+
+@dataclass(frozen=True)
+class FieldNumbers:
+    """Columns of a field in a frame: quantiles over what is known, and how much and how well that is."""
+
+    distance_stiffness: float | None = column("", None)
+    """against stretch, the median over tissue where it is determined, relative: a particle's mass over the square of a
+    frame's time, not N/m; compares places within a run of contact, not clips; all of it in fields.npz"""
+    distance_stiffness_low: float | None = column("", None)
+    """its 10 % quantile over that tissue, not an interval"""
+    distance_stiffness_high: float | None = column("", None)
+    """its 90 % quantile over that tissue, not an interval"""
+    distance_stiffness_log_sd: float | None = column("", None)
+    """standard deviation of the log of stiffness over its mean, the median over that tissue"""
+    shape_stiffness: float | None = column("", None)
+    """against bending, the median over tissue where it is determined, likewise, not comparable with
+    distance_stiffness; all of it in fields.npz"""
+    shape_stiffness_low: float | None = column("", None)
+    """its 10 % quantile over that tissue, not an interval"""
+    shape_stiffness_high: float | None = column("", None)
+    """its 90 % quantile over that tissue, not an interval"""
+    shape_stiffness_log_sd: float | None = column("", None)
+    """standard deviation of the log of stiffness over its mean, the median over that tissue"""
+    field_known: float = column("", 0.0)
+    """share of the particles whose stiffness against stretch is determined: surer than before anything was observed,
+    the tissue there has stretched, and the fit explains the motion"""
+    shape_known: float = column("the same of stiffness against bending", 0.0)
+    skill: float = column("", math.nan)
+    """1 - error / motion so far of the tissue simulated under the instrument alone; below 0.35 the fit does not explain
+    the motion, and nothing is determined"""
+    gap: float | None = column("", None)
+    """norm of the deformation by which the simulated particles missed what the frame shows, scene units"""
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessMap:
+    """Stiffness of N particles."""
+
+    value: np.ndarray
+    """Shape [N] [m/Δt²]."""
+    log_sd: np.ndarray
+    """Standard deviation of the logarithm of `value` over its mean where tissue has stretched, shape [N]."""
+    known: np.ndarray
+    """Where the motion so far determines it, shape [N], bool; nowhere where the fit does not explain the motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,41 +76,31 @@ class ParticleField:
     """Particles now, without the background's motion, shape [N, 3] [scene units]."""
     pixels: np.ndarray
     """Where they are in the picture, with it, shape [N, 2] [px of the source frame]."""
-    distance: np.ndarray
-    """Stiffness against stretch along the surface, shape [N] [m/Δt²]."""
-    shape: np.ndarray
-    """Against changes of a neighbourhood's shape, likewise."""
-    distance_log_sd: np.ndarray
-    """Standard deviation of the logarithm of `distance` over its mean where tissue has stretched, shape [N]."""
-    shape_log_sd: np.ndarray
-    """Likewise of `shape`."""
-    known: np.ndarray
-    """Where the motion so far determines `distance`, shape [N], bool; nowhere where the fit does not explain it."""
-    shape_known: np.ndarray
-    """Likewise of `shape`."""
+    distance: StiffnessMap
+    """Against stretch along the surface."""
+    shape: StiffnessMap
+    """Against changes of a neighbourhood's shape."""
     skill: float
     """1 - error / motion so far of the simulation that the instrument alone leads; not a number: nothing has moved."""
     gap: float | None
     """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
 
-    def numbers(self) -> dict[str, float]:
-        """Columns of a frame: quantiles over what is known, and how much and how well that is."""
-        found = {
-            "field_known": float(self.known.mean()),
-            "shape_known": float(self.shape_known.mean()),
-            "skill": self.skill,
-        }
-        if self.gap is not None:
-            found["gap"] = self.gap
-        for name, values, log_sd, known in (
-            ("distance_stiffness", self.distance, self.distance_log_sd, self.known),
-            ("shape_stiffness", self.shape, self.shape_log_sd, self.shape_known),
-        ):
-            if known.any():
-                low, middle, high = np.quantile(values[known], (0.1, 0.5, 0.9)).tolist()
-                found |= {f"{name}_low": low, name: middle, f"{name}_high": high}
-                found[f"{name}_log_sd"] = float(np.median(log_sd[known]))
-        return found
+    @property
+    def maps(self) -> dict[str, StiffnessMap]:
+        """Both stiffnesses by the beginning of their columns."""
+        return {"distance_stiffness": self.distance, "shape_stiffness": self.shape}
+
+    @property
+    def numbers(self) -> FieldNumbers:
+        """Columns of a frame."""
+        shares = {"field_known": float(self.distance.known.mean()), "shape_known": float(self.shape.known.mean())}
+        found: dict[str, float] = {}
+        for name, stiffness in self.maps.items():
+            if stiffness.known.any():
+                for end, share in (("_low", 0.1), ("", 0.5), ("_high", 0.9)):
+                    found[f"{name}{end}"] = float(np.quantile(stiffness.value[stiffness.known], share))
+                found[f"{name}_log_sd"] = float(np.median(stiffness.log_sd[stiffness.known]))
+        return FieldNumbers(**found, **shares, skill=self.skill, gap=self.gap)
 
     @property
     def explained(self) -> bool:
@@ -75,11 +110,11 @@ class ParticleField:
     @property
     def verdict(self) -> str:
         """`stiffness_ratios` where something is known of either stiffness, else `undetermined`."""
-        return "stiffness_ratios" if self.known.any() or self.shape_known.any() else "undetermined"
+        return "stiffness_ratios" if any(each.known.any() for each in self.maps.values()) else "undetermined"
 
 
 @dataclass(frozen=True, eq=False)
-class FieldEstimate:
+class FieldResult:
     """What the motion of tissue that an instrument drives tells of stiffness place by place; T frames, rest first."""
 
     last: ParticleField
@@ -88,8 +123,6 @@ class FieldEstimate:
     """Since the run's first frame, shape [T] [s]."""
     course: np.ndarray
     """Root mean squares over the points of what is observed, predicted, and the difference, shape [T, 3] [px]."""
-    numbers: dict[str, np.ndarray]
-    """What `ParticleField.numbers` says in every frame, by name, not a number where it says nothing, shape [T] each."""
     stretched: bool
     """Whether tissue has anywhere stretched by as much as settings ask for."""
     driven: DrivenTissue
@@ -146,8 +179,8 @@ class FieldEstimate:
                 f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined: "
                 "others explain the motion as well, so none is given or coloured."
             )
+        shares = [f"{each.known.mean():.0%}" for each in self.last.maps.values()]
         return (
-            f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at "
-            f"{self.last.known.mean():.0%} of the particles against stretch, at {self.last.shape_known.mean():.0%} "
-            "against bending."
+            f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at {shares[0]} of the "
+            f"particles against stretch, at {shares[1]} against bending."
         )

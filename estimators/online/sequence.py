@@ -16,7 +16,7 @@ from palpate.data.source.sequence import Sequence, moved
 from palpate.data.tracks.background import FAR
 from palpate.estimators.cloud_shape import CloudShape, view_across
 from palpate.estimators.online.driven import Cloud, DrivenTissue
-from palpate.estimators.online.particle_field import ParticleField
+from palpate.estimators.online.particle_field import ParticleField, StiffnessMap
 from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, layers_below, volume_below
 from palpate.physics.pbd.body import make_body
@@ -76,11 +76,10 @@ class SequenceTissue:
     def _field(self, gap: float | None) -> ParticleField:
         """As it is now, in the sequence's frame."""
         surface, session, back = self.surface, self.driven.session, np.linalg.inv(self._view)
-        (distance_sd, shape_sd), (known, shape_known) = self.driven.determined()
         tissue = moved(surface.body.rest, back), surface.faces, surface.body.tetrahedra, moved(session.positions, back)
-        fields = *session.fields[:2], distance_sd, shape_sd, known, shape_known
+        maps = map(StiffnessMap, session.fields[:2], *self.driven.determined())
         pixels = surface.project(session.positions)
-        return ParticleField(self._begin, *tissue, pixels, *fields, self.driven.alone.skill, gap)
+        return ParticleField(self._begin, *tissue, pixels, *maps, self.driven.alone.skill, gap)
 
     def _meshed(self, cloud: np.ndarray, settings: OnlineSettings) -> Surface:
         """Particles on a cloud in the view's frame."""

@@ -22,11 +22,11 @@ from palpate.common.options import options as read_options
 from palpate.common.output import require_own, write_own
 from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpation.bench import surface_error
 from palpate.estimators.palpation.material_fit import NOTHING, MaterialFit, fit_material
 from palpate.estimators.palpation.scene import Scene, read_scene
 from palpate.physics.fem import NoEquilibrium
+from palpate.physics.identifiability import NINETY
 from palpate.results.store import OutputError, make_output, writing
 
 PALPATION = ("calibration.json", "errors.csv")

@@ -39,10 +39,10 @@ from palpate.data.source.layout import ClipLayout
 from palpate.data.source.live import LiveSource, open_live
 from palpate.estimators.contract import ClipInfo, Output, Preparation
 from palpate.estimators.open import ESTIMATORS, preparation
-from palpate.estimators.records import FrameEstimate
+from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate
+from palpate.estimators.result import UNITS
 from palpate.estimators.session import estimates_of
 from palpate.results.alarm import ForceAlarm
-from palpate.results.columns import FRAMES, INTERACTIONS, UNITS, interaction_values, known
 from palpate.results.options import FRAME_FORCE, require_able
 
 WAITING, UNDECIDED = 1, 16
@@ -186,12 +186,12 @@ class JsonLines:
         if isinstance(output, FrameEstimate):
             self._frames += 1
             output = output if self.alarm is None else self.alarm.watch(output)
-            found = known(FRAMES, output.values) | {"decided": True} | self._lateness(output.frame, decided=True)
+            found = FRAMES.known(output) | {"decided": True} | self._lateness(output.frame, decided=True)
             found |= {} if self.alarm is None else {"alarm": output.alarm}
         else:
             if self.alarm is not None:
                 self.alarm.end_run()
-            found = {"interaction": known(INTERACTIONS, interaction_values(output))}
+            found = {"interaction": CONTACTS.known(*output.rows)}
         self._send(found)
 
     def _lateness(self, number: int, *, decided: bool) -> dict[str, Any]:

@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from palpate.common.files import read_beside
 from palpate.results import store
-from palpate.results.verdicts import COLORS, MEANINGS, in_words, numbers
+from palpate.results.verdicts import NOTES, in_words, numbers
 
-TEXTS: dict[str, Any] = read_beside(__file__, "texts.yaml")
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
 """Columns of both tables that are drawn over time."""
 
@@ -28,7 +26,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
     """
     record = store.read_record(folder)
     given, contacts = record["input"], record["contacts"]
-    order = [*COLORS, *contacts]
+    order = [*NOTES, *contacts]
     return {
         "name": folder.name,
         "page": store.TABLE if record.get("kind") == "sequence" else store.PAGES[1],
@@ -58,45 +56,52 @@ def clip_of(folder: Path) -> dict[str, Any]:
 def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """Curves, contacts and forces of a video."""
     columns = "frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm"
-    frames, runs = _table(folder / store.TABLE, columns), _table(folder / store.INTERACTIONS)
-    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))
-    contacts = [_contact(run, forces) for run, forces in zip(runs, report["contacts"], strict=True)]
+    frames, contacts = _table(folder / store.TABLE, columns), contacts_of(folder)
     return {
         "video": store.OVERLAY if (folder / store.OVERLAY).is_file() else None,
         "found": contacts,
         "length": record["units"].get("length", ""),
         "states": [_explained(*item) for item in record["statuses"].items()],
-        "calibrated": _table(folder / store.CALIBRATED) if (folder / store.CALIBRATED).is_file() else [],
         "curves": _curves(record, frames, contacts),
     }
 
 
+def contacts_of(folder: Path) -> list[dict[str, Any]]:
+    """What is shown of a video's contacts."""
+    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))["contacts"]
+    runs, newtons = _table(folder / store.INTERACTIONS), folder / store.CALIBRATED
+    physical = _table(newtons) if newtons.is_file() else [{}] * len(runs)
+    return [_contact(*one) for one in zip(runs, report, physical, strict=True)]
+
+
 def _explained(name: str, count: int = 0) -> dict[str, Any]:
     """A verdict or a status in words, what it means, and what to do about it."""
-    said = TEXTS["statuses"].get(name) or {"means": MEANINGS.get(name, ""), "do": TEXTS["verdicts"].get(name, "")}
-    return {"name": name, "words": in_words(name), "count": count} | said
+    note = NOTES.get(name, NOTES["doubtful"])
+    return {"name": name, "words": in_words(name), "count": count, "means": note.text, "do": note.remedy}
 
 
-def _contact(run: Mapping[str, str], forces: Mapping[str, Any]) -> dict[str, Any]:
+def _contact(run: Mapping[str, str], forces: Mapping[str, Any], newtons: Mapping[str, str]) -> dict[str, Any]:
     """A run of contact: its rows of both tables, and its verdict in words, with no number surer than that."""
-    verdict, values = run["verdict"], {name: _number(cell) for name, cell in run.items()}
+    verdict, values = run["verdict"], {name: number(cell) for name, cell in run.items()}
     doubtful = verdict == "determined" and run["detail"]
     shown = numbers("doubtful" if doubtful else verdict, values) if verdict else []
-    return {"row": run, "known": values, "forces": forces, "numbers": shown} | _explained(verdict or "no_estimate")
+    return {"row": run, "known": values, "forces": forces, "newtons": newtons, "numbers": shown} | _explained(
+        verdict or "no_estimate"
+    )
 
 
 def _curves(record: Mapping[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:
     """What the page's script draws, by frame and by run of contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "unit": record["units"]["stiffness"], "contacts": []}
     for name in ("frame", "time_s", *CURVES):
-        found[name] = [_number(row[name]) for row in frames]
+        found[name] = [number(row[name]) for row in frames]
     found["sure"] = [_is_sure(row) for row in frames]
     found["state"] = _coded([row["verdict"] or row["status"] for row in frames])
     found["detail"] = _coded([row["detail"] for row in frames])
     if record["force_limit"]:
         found["alarm"] = _coded([row["alarm"] for row in frames])
     for contact in contacts:
-        values = {name: _number(contact["row"][name]) for name in CURVES}
+        values = {name: number(contact["row"][name]) for name in CURVES}
         values |= {"name": contact["name"], "sure": _is_sure(contact["row"])}
         names = "unit", "time_s", "frame_s", "force", "force_low", "force_high"
         found["contacts"].append(values | {name: contact["forces"][name] for name in names})
@@ -114,7 +119,8 @@ def _coded(texts: Sequence[str]) -> dict[str, Any]:
     return {"names": list(places), "words": list(map(in_words, places)), "index": [places[text] for text in texts]}
 
 
-def _number(cell: str) -> float | None:
+def number(cell: str) -> float | None:
+    """A cell of a table; None where it is no number."""
     try:
         return float(cell)
     except ValueError:

@@ -11,7 +11,7 @@ from palpate.common.files import as_json
 from palpate.common.output import ForeignFile, write_own
 from palpate.results import store
 from palpate.results.page.gather import clip_folders, clip_of, summary_of
-from palpate.results.verdicts import COLORS
+from palpate.results.verdicts import NOTES
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -33,6 +33,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
         OutputError: a page can't be written, or a file that this program did not write is in its place.
     """
     environment, rows, failures, foreign = _environment(), [], list(failed), None
+    colors = {name: note.color for name, note in NOTES.items()}
     with store.writing(output):
         for folder in clip_folders(output):
             page, text = folder / CLIP, ""
@@ -40,7 +41,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
                 summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
                 if summary["page"] == CLIP and (anew or not page.exists() or page.stat().st_mtime_ns < made):
                     shown = clip_of(folder)
-                    text = environment.get_template("clip.html").render(clip=shown, colors=COLORS)
+                    text = environment.get_template("clip.html").render(clip=shown, colors=colors)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
                 why = f"its results are damaged or of another version ({type(error).__name__}: {error})"
                 failures.append((folder.name, f"{folder}: {why}; compute it again with palpate infer --overwrite."))
@@ -51,7 +52,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
                     write_own(page, text)
             except ForeignFile as error:
                 foreign = error
-        shown = {"clips": rows, "failures": failures, "colors": COLORS}
+        shown = {"clips": rows, "failures": failures, "colors": colors}
         write_own(output / INDEX, environment.get_template("index.html").render(shown))
         if foreign is not None:
             raise foreign

@@ -11,8 +11,9 @@ import yaml
 
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import Calibration, read_calibration
-from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.force_scale import MASS, SHEET_FACTOR
+from palpate.physics.identifiability import NINETY
 from tests.estimators.test_force_scale import KNOWN, METRIC, OTHER, UNKNOWN
 
 FORCE = {"force_N": 4.0, "force_sd_N": 0.2, "force_time_s": 0.5}

@@ -25,13 +25,12 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import SyntheticSource, _Depth, _Masks, open_synthetic
 from palpate.estimators.contract import Estimator, Output
 from palpate.estimators.direct.estimator import WHOLE, fitted_press
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressResult
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.open import ESTIMATORS, settings_of
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate, InteractionEstimate
 from palpate.physics.msd.simulation import simulate
-from palpate.results.columns import INTERACTIONS, interaction_values
 from tests.data.clips import make_clip
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
 from tests.estimators.test_runs import whole_clip_runs
@@ -97,12 +96,12 @@ def alone(estimator: Estimator, clips: list[list[PreparedFrame]]) -> list[Said]:
 
 def exactly(told: Iterable[FrameEstimate], runs: Iterable[InteractionEstimate]) -> list[str]:
     """Everything that is said, to the last digit."""
-    found = [repr({name: value for name, value in item.values.items() if name != "estimate"}) for item in told]
+    found = [repr(FRAMES.known(item)) for item in told]
     for run in runs:
-        seen, values = run.interaction, interaction_values(run)
+        seen, values = run.interaction, CONTACTS.known(*run.rows)
         arrays = () if seen is None else (seen.observation.times, seen.observation.displacement, seen.load.factor)
         arrays += run.simulated or ()
-        found.append(repr(([values.get(name) for name in INTERACTIONS], [array.tolist() for array in arrays])))
+        found.append(repr(([values.get(name) for name in CONTACTS.columns], [array.tolist() for array in arrays])))
     return found
 
 
@@ -139,8 +138,8 @@ def test_fields_are_the_online_estimator_s_alone(estimator: Estimator, alone: li
             assert field.positions.shape == (count, 3)
             assert field.pixels.shape == (count, 2)
             assert field.faces.max() < count
-            assert ((field.distance > 0) & (field.distance < 10)).all()
-            assert ((field.shape > 0) & (field.shape < 0.02)).all()
+            assert ((field.distance.value > 0) & (field.distance.value < 10)).all()
+            assert ((field.shape.value > 0) & (field.shape.value < 0.02)).all()
 
 
 def test_a_stream_is_told_once_and_in_order(clips: list[list[PreparedFrame]], alone: list[Said]) -> None:
@@ -181,17 +180,17 @@ def test_every_estimate_has_its_verdict_its_covariance_and_its_words(estimator, 
 def test_a_press_is_simulated_with_the_load_and_the_constants_that_are_told(estimator, alone) -> None:
     for _, (run,) in alone:
         assert (run.mechanics is None) == (estimator.name in ("gan", "online"))
-        if run.mechanics is None or run.estimate.by_light:
+        if run.mechanics is None or run.estimate.light:
             continue
         press = fitted_press(run.interaction, run.estimate, run.mechanics.time_step, run.mechanics.steps)
         path = simulate(run.estimate.theta, run.interaction.mesh, press, run.mechanics) @ run.interaction.direction
         times, along = run.simulated
-        began = (*run.estimate.delays, 0.0)[0] + run.mechanics.time_step * np.arange(len(path) + 1)
+        began = run.estimate.course.delays[0] + run.mechanics.time_step * np.arange(len(path) + 1)
         found = np.interp(times, began, np.concatenate([[0.0], path]))
         np.testing.assert_allclose(found, along, rtol=0, atol=0.002 * np.abs(along).max())
 
 
-def require_complete(estimator: Estimator, found: Estimate) -> None:
+def require_complete(estimator: Estimator, found: PressResult) -> None:
     """θ in its octant; a covariance with verdict, reason and information by it, or a verdict that needs none."""
     assert found.theta.shape == (3,)
     assert (np.sign(found.theta) == (1, 1, -1)).all()
@@ -206,7 +205,7 @@ def require_complete(estimator: Estimator, found: Estimate) -> None:
     assert found.information.shape == (3, 3)
     assert found.misfit > 0
     assert found.noise > 0
-    assert found.view_angle is not None or found.by_light
+    assert found.course.view_angle is not None or found.light
 
 
 def test_depth_counts_for_a_network_that_takes_it(files, frames) -> None:

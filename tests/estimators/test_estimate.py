@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.estimate import (
-    COMBINATIONS,
-    NINETY,
-    REPORTED,
-    SYMBOLS,
-    Estimate,
-)
-from palpate.estimators.records import FrameEstimate
-from palpate.physics.identifiability import LIMIT
+from palpate.estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS, PressResult
+from palpate.estimators.records import FrameEstimate, Touch
+from palpate.estimators.result import values_of
+from palpate.physics.identifiability import LIMIT, NINETY
 from palpate.physics.mechanics import PARAMETERS
 
 THETA = np.array([0.5, 0.06, -0.1])
@@ -24,20 +19,21 @@ CORRELATED = np.array([[0.10, 0.08, 0.05], [0.08, 0.12, 0.06], [0.05, 0.06, 0.20
 def test_everything_unknown_is_none() -> None:
     estimate = FrameEstimate(3, 0.12, "no_tool")
     known = {"frame", "time_s", "status", "detail", "verdict"}
-    assert {name for name, value in dataclasses.asdict(estimate).items() if value is not None} == known
-    assert {name for name, value in estimate.values.items() if value is not None} == known
+    assert {name for name, value in dataclasses.asdict(estimate).items() if value is not None} == known | {"touch"}
+    assert values_of(estimate).keys() == known
 
 
 def test_a_frames_values_are_its_estimates() -> None:
-    found = Estimate(THETA, 0.01 * np.eye(3))
-    values = FrameEstimate(3, 0.12, "ok", estimate=found, verdict=found.verdict, contact_u=7.0).values
+    found = PressResult(THETA, 0.01 * np.eye(3))
+    values = values_of(FrameEstimate(3, 0.12, "ok", estimate=found, touch=Touch(contact_u=7.0)))
     assert values["contact_u"] == 7
-    assert {name: values[name] for name in found.numbers()} == found.numbers()
+    assert values["determined"] == ";".join(found.determined)
+    assert values.items() >= values_of(found.numbers).items()
 
 
 def test_uncertainty_is_the_log_normal_distributions() -> None:
     assert norm.cdf(NINETY) - norm.cdf(-NINETY) == pytest.approx(0.9, abs=1e-15)
-    fields = Estimate(THETA, np.diag([0.04, 0.25, 1.0])).numbers()
+    fields = values_of(PressResult(THETA, np.diag([0.04, 0.25, 1.0])).numbers)
     # sd = median·exp(s²/2)·sqrt(exp(s²) - 1); for s = 1: 0.1·1.6487·1.3108.
     assert fields["force_sd"] == pytest.approx(0.1 * 1.6487212707 * 1.3108324957)
     assert fields["stiffness_sd"] == pytest.approx(0.5 * 1.0202013400 * np.sqrt(np.expm1(0.04)))
@@ -47,7 +43,7 @@ def test_uncertainty_is_the_log_normal_distributions() -> None:
 
 def test_numbers_are_those_of_drawn_parameters() -> None:
     """Values, standard deviations and intervals of parameters and ratios, against 400,000 draws of θ."""
-    numbers = Estimate(THETA, CORRELATED, information=np.linalg.inv(CORRELATED)).numbers()
+    numbers = values_of(PressResult(THETA, CORRELATED, information=np.linalg.inv(CORRELATED)).numbers)
     logs = np.random.default_rng(0).multivariate_normal(np.log(np.abs(THETA)), CORRELATED, 400_000)
     stiffness, damping, force = np.exp(logs).T
     drawn = dict(zip(PARAMETERS, (stiffness, damping, force), strict=True))
@@ -64,11 +60,10 @@ def test_numbers_are_those_of_drawn_parameters() -> None:
 
 
 def test_what_an_estimator_does_not_give_is_missing() -> None:
-    numbers = Estimate(np.array([0.5, 0.06, 0.0], np.float32), given_verdict="onset_in_view").numbers()
-    assert numbers.keys() == {"verdict", "determined", *REPORTED}
-    assert (numbers["verdict"], numbers["determined"]) == ("onset_in_view", "")
+    numbers = values_of(PressResult(np.array([0.5, 0.06, 0.0], np.float32), given_verdict="onset_in_view").numbers)
+    assert numbers.keys() == {*REPORTED}
     assert (numbers["force"], numbers["force_over_stiffness"]) == (0, 0)
-    rigid = Estimate(np.array([0.0, 0.06, -0.1]), CORRELATED).numbers()
+    rigid = values_of(PressResult(np.array([0.0, 0.06, -0.1]), CORRELATED).numbers)
     assert not any("over_stiffness" in name for name in rigid)  # there is no ratio to nothing
     assert rigid["stiffness"] == rigid["stiffness_sd"] == 0
 
@@ -89,16 +84,15 @@ def test_what_is_determined_goes_by_standard_deviations(covariance, verdict, det
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(3), covariance, 20_000)
     sampled = {name for name, row in COMBINATIONS.items() if (drawn @ row).std() < LIMIT}
     assert sampled == set(determined)
-    own = Estimate(THETA, covariance)
-    expected = Estimate(THETA, 1e-6 * np.eye(3), expected_information=np.linalg.inv(covariance))
+    own = PressResult(THETA, covariance)
+    expected = PressResult(THETA, 1e-6 * np.eye(3), expected_information=np.linalg.inv(covariance))
     for found in (own, expected):
         assert (found.verdict, found.determined) == (verdict, determined)
-        assert found.numbers()["determined"] == ";".join(determined)
 
 
 @pytest.mark.parametrize("told", ["", "onset_in_view"])
 def test_nothing_is_determined_by_a_model_that_does_not_explain_the_motion(told: str) -> None:
-    sure = Estimate(THETA, 1e-4 * np.eye(3), misfit=1.5, largest_misfit=1.5, given_verdict=told)
+    sure = PressResult(THETA, 1e-4 * np.eye(3), misfit=1.5, largest_misfit=1.5, given_verdict=told)
     unexplained = dataclasses.replace(sure, misfit=1.501)
     assert (sure.verdict, sure.determined) == ((told, ()) if told else ("determined", tuple(COMBINATIONS)))
     assert (unexplained.verdict, unexplained.determined) == ("undetermined", ())
@@ -110,10 +104,10 @@ def test_nothing_is_determined_by_a_model_that_does_not_explain_the_motion(told:
 
 def test_what_nothing_is_known_of_is_not_determined() -> None:
     """Directions without any information: of all parameters, and of their common scale."""
-    blind = Estimate(THETA, CORRELATED, expected_information=np.zeros((3, 3)))
+    blind = PressResult(THETA, CORRELATED, expected_information=np.zeros((3, 3)))
     assert (blind.verdict, blind.determined) == ("undetermined", ())
     ratios = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
-    scaleless = Estimate(THETA, CORRELATED, expected_information=1e4 * ratios.T @ ratios)
+    scaleless = PressResult(THETA, CORRELATED, expected_information=1e4 * ratios.T @ ratios)
     assert (scaleless.verdict, scaleless.determined) == ("ratios", tuple(COMBINATIONS)[3:])
 
 
@@ -121,12 +115,12 @@ def test_a_ratio_known_to_the_last_digit_has_no_width() -> None:
     """In single precision the variance of a difference of badly known logarithms may come out below 0."""
     covariance = 100 * np.ones((3, 3))
     covariance[0, 0] -= 1e-3
-    numbers = Estimate(THETA, covariance, expected_information=np.eye(3)).numbers()
+    numbers = values_of(PressResult(THETA, covariance, expected_information=np.eye(3)).numbers)
     assert numbers["damping_over_stiffness_sd"] == 0
     assert numbers["damping_over_stiffness_low"] == numbers["damping_over_stiffness_high"] == pytest.approx(0.12)
 
 
 def test_widening_adds_covariances() -> None:
-    found = Estimate(THETA, CORRELATED).widened(0.3 * np.eye(3))
+    found = PressResult(THETA, CORRELATED).widened(0.3 * np.eye(3))
     np.testing.assert_allclose(found.covariance, CORRELATED + 0.3 * np.eye(3))
     np.testing.assert_allclose(np.linalg.inv(found.expected_information), CORRELATED + 0.3 * np.eye(3))

@@ -16,6 +16,7 @@ from palpate.estimators import gan
 from palpate.estimators.contract import ClipInfo, Preparation
 from palpate.estimators.gan import GanEstimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.result import values_of
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, Mechanics
@@ -76,18 +77,18 @@ def test_every_frame_has_one_result_and_the_networks_parameters_only_in_contact(
     assert [result.estimate.status for result in results] == ["no_tool"] + ["no_contact"] * 3 + ["ok"] * 5
     for result in results:
         estimate = result.estimate
-        known = [*map(estimate.values.get, PARAMETERS), estimate.simulated_displacement]
+        known = [*map(values_of(estimate).get, PARAMETERS), estimate.touch.simulated_displacement]
         assert all((value is not None) == (estimate.status == "ok") for value in known)
         ends = "_sd", "_low", "_high", "_bound"
-        assert not any(name.endswith(ends) for name, value in estimate.values.items() if value is not None)
+        assert not any(name.endswith(ends) for name in values_of(estimate))
         assert estimate.contact == (estimate.status == "ok")
         if estimate.contact:
             np.testing.assert_allclose(estimate.estimate.theta, result.expected, rtol=1e-5)
             np.testing.assert_allclose(known[:3], np.abs(result.expected), rtol=1e-5)  # a force is a magnitude
             assert estimate.verdict == "undetermined"
     # In pixels of the source frame the tool is drawn over columns 70-89, its tip in row 42 at the onset.
-    assert 66 <= results[ONSET].estimate.contact_u <= 94
-    assert 40 <= results[ONSET].estimate.contact_v <= 48
+    assert 66 <= results[ONSET].estimate.touch.contact_u <= 94
+    assert 40 <= results[ONSET].estimate.touch.contact_v <= 48
 
 
 def test_window_repeats_the_first_frame(clip_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,8 +109,8 @@ def test_simulation_is_read_where_the_model_was_trained(usual) -> None:
     _, results, _ = usual
     for result in results[ONSET:]:
         path = pressed(result.expected, result.prepared.geometry, MECHANICS.load_steps)
-        assert result.estimate.simulated_displacement == pytest.approx(path[39], rel=1e-3)
-    observed = [result.estimate.observed_displacement for result in results]
+        assert result.estimate.touch.simulated_displacement == pytest.approx(path[39], rel=1e-3)
+    observed = [result.estimate.touch.observed_displacement for result in results]
     assert observed[ONSET] == pytest.approx(np.linalg.norm(results[ONSET].prepared.displacement))
     assert observed[-1] is None
 
@@ -124,14 +125,14 @@ def test_onset_counts_only_where_its_absence_was_seen(seen: str, visible: bool) 
 def test_arrow_ends_at_the_contact_and_grows_with_force(usual, clip_folder: Path, tmp_path: Path) -> None:
     clip, results, _ = usual
     estimate = results[-1].estimate
-    tail, tip = estimate.arrow
-    assert tip == pytest.approx((estimate.contact_u, estimate.contact_v), abs=1e-3)
+    tail, tip = estimate.touch.arrow
+    assert tip == pytest.approx((estimate.touch.contact_u, estimate.touch.contact_v), abs=1e-3)
     # The tail lies outside the tissue along the normal; its distance is 0.3 · z · |F|/max|F|.
     contact, camera = results[-1].prepared.geometry, clip.picture_camera
     point = contact.tissue_point + contact.normal * 0.3 * contact.tissue_point[2] * 0.4
     assert tail[0] == pytest.approx(camera.fx * point[0] / point[2] + camera.cx, abs=1e-2)
     _, weak, _ = run(clip_folder, tmp_path, theta=(0.5, 0.09, -0.1))
-    assert math.dist(*weak[-1].estimate.arrow) < math.dist(tail, tip)
+    assert math.dist(*weak[-1].estimate.touch.arrow) < math.dist(tail, tip)
 
 
 def test_numbers_that_are_not_finite_are_an_error(clip_folder: Path, tmp_path: Path) -> None:
@@ -161,7 +162,7 @@ def test_a_run_is_the_geometric_mean_of_its_frames(clip_folder, tmp_path, theta)
     assert run_of_contact.load_s is None  # the clip ends in contact
     assert (run_of_contact.estimate.verdict, run_of_contact.estimate.covariance) == ("undetermined", None)
     assert len(run_of_contact.interaction.observation) == FRAMES - ONSET - 1
-    assert (results[-1].estimate.arrow is None) == (theta[2] == 0)
+    assert (results[-1].estimate.touch.arrow is None) == (theta[2] == 0)
 
 
 def test_a_network_of_trajectories_with_head_parameters_is_refused(tmp_path: Path) -> None:

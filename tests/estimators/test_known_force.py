@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import KnownForce, fit_factor, predict_force, read_forces
+from palpate.physics.identifiability import NINETY
 
 
 def test_the_factor_is_that_of_least_squares() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators import oblique
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressCourse, PressResult
 from palpate.physics.load import Press
 from palpate.physics.observation import Observation
 from tests.physics.sheets import sheet
@@ -16,11 +16,11 @@ from tests.physics.sheets import sheet
 MESH = sheet(5, 5)
 BOX = np.log([[0.05, 0.005, 0.01], [1.0, 0.5, 0.3]])
 THETA = np.array([0.3, 0.03, -0.05])
-ESTIMATE = Estimate(THETA, 0.01 * np.eye(3), information=100 * np.eye(3), noise=0.001, misfit=1.0)
+ESTIMATE = PressResult(THETA, 0.01 * np.eye(3), information=100 * np.eye(3), noise=0.001, misfit=1.0)
 
 
-def seen_at(angle: float) -> Estimate:
-    return dataclasses.replace(ESTIMATE, view_angle=angle)
+def seen_at(angle: float) -> PressResult:
+    return dataclasses.replace(ESTIMATE, course=PressCourse(view_angle=angle))
 
 
 @pytest.mark.parametrize("sign", [-1, 1])

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from palpate.data.source.layout import InputError
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.palpated import palpated_young
+from palpate.physics.identifiability import NINETY
 
 INTERVAL = {"young_pa": 1e4, "young_low_pa": 8e3, "young_high_pa": 12.5e3}
 SD = math.log(12.5 / 8) / (2 * NINETY)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from palpate.estimators.estimate import LightFit
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, NONE
 from tests.results.fields import GRIP, PULL
 
@@ -23,7 +24,7 @@ def test_skill_is_against_no_motion() -> None:
 
 
 def test_skill_of_what_is_told_by_light_by_a_pull_and_by_a_field() -> None:
-    light = dataclasses.replace(ESTIMATE, by_light=True, left=0.25)
+    light = dataclasses.replace(ESTIMATE, light=LightFit(0.25))
     assert dataclasses.replace(GOOD, estimate=light).skill == 0.75
     assert dataclasses.replace(NONE, grip=GRIP).skill == GRIP.skill
     assert dataclasses.replace(NONE, field=PULL).skill == PULL.skill

@@ -11,7 +11,7 @@ from hypothesis import strategies as some
 
 from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
 from palpate.estimators import runs as module
-from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunTracker, frame_estimate
@@ -140,7 +140,12 @@ def test_a_run_that_begins_where_a_hovering_tool_stops_is_undecided() -> None:
     (run,) = tracked_runs(frames, 2)
     assert (run.passed, run.unobserved) == (False, f"{module.UNDECIDED} {module.NO_ONSET}")
     told = frame_estimate(frames[2], clip_info(), whole=True)
-    assert (told.status, told.contact, told.contact_probability, told.detail) == ("ok", True, 0.7, module.UNDECIDED)
+    assert (told.status, told.contact, told.touch.contact_probability, told.detail) == (
+        "ok",
+        True,
+        0.7,
+        module.UNDECIDED,
+    )
     (run,) = tracked_runs(linked([State("no_contact"), hovers, stands, sunk, hovers], CONTACT), 2)
     assert (run.passed, run.unobserved) == (False, module.NO_ONSET)
 
@@ -155,7 +160,7 @@ def test_contact_after_hovering_has_no_onset() -> None:
 def test_frames_say_how_contact_is_known() -> None:
     told = [frame_estimate(frame, clip_info(), whole=True) for frame in judged(0.7, 0.95, 0.2, math.nan)]
     assert [item.contact for item in told] == [True, True, False, False]
-    assert [item.contact_probability for item in told] == [0.7, 0.95, 0.2, None]
+    assert [item.touch.contact_probability for item in told] == [0.7, 0.95, 0.2, None]
     assert [item.detail for item in told[:2]] == [module.OUTLINES_ALONE, ""]
 
 
@@ -185,7 +190,7 @@ def test_without_a_noise_level_rest_is_where_the_point_was_at_the_onset() -> Non
 
 
 def test_a_grip_that_is_not_explained_says_so() -> None:
-    grip = GripEstimate(0.2, -math.inf, *np.ones((3, 2)))
+    grip = PullResult(0.2, -math.inf, *np.ones((3, 2)))
     recorder = create_autospec(GripRecorder, instance=True)
     recorder.estimate.return_value = grip
     record = InteractionEstimate(0, 0, 0.0, detail="No onset.")

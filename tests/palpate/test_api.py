@@ -31,7 +31,7 @@ def test_estimate_gives_the_numbers_that_the_program_writes(clip: Path, tmp_path
     assert [run.verdict for run in found] == [row["verdict"] for row in rows]
     for run, row in zip(found, rows, strict=True):
         kinds = type(run), type(run.interaction), type(run.estimate)
-        assert kinds == (palpate.InteractionEstimate, palpate.Interaction, palpate.Estimate)
+        assert kinds == (palpate.InteractionEstimate, palpate.Interaction, palpate.PressResult)
         written = [float(row[column]) for column in ("stiffness", "damping", "force")]
         np.testing.assert_allclose(np.abs(run.estimate.theta), written, rtol=1e-5)
 
@@ -65,7 +65,7 @@ def test_help_shows_the_public_functions_and_no_module_takes_their_place() -> No
     shown = pydoc.plain(pydoc.render_doc(palpate))
     assert all(f"\n    {name}(" in shown for name in ("estimate", "calibrate", "plan", "simulate"))
     assert re.search(r"\nVERSION\n    \d+\.\d+", shown)
-    assert set(dir(palpate)) >= {"estimate", "calibrate", "plan", "Estimate", "__version__"}
+    assert set(dir(palpate)) >= {"estimate", "calibrate", "plan", "PressResult", "__version__"}
     with pytest.raises(ModuleNotFoundError):
         importlib.import_module("palpate.calibrate")
     assert callable(palpate.calibrate)

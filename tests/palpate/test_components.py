@@ -21,7 +21,7 @@ import numpy as np
 
 from palpate.common.options import option
 from palpate.estimators.contract import Estimator
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressResult
 from palpate.estimators.runs import RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
@@ -52,7 +52,7 @@ class Session(RunSession):
         yield frame_estimate(frame, self.clip, whole=True)
 
     def _whole(self, contact):
-        found = Estimate(np.array([self.firmness, 0.1, -0.1]), given_verdict="undetermined")
+        found = PressResult(np.array([self.firmness, 0.1, -0.1]), given_verdict="undetermined")
         return found, (np.zeros(1), np.zeros(1)), "It was not looked at."
 '''
 MASKS = '''

@@ -1,6 +1,7 @@
 """The command `palpate`."""
 
 import importlib
+import re
 import sys
 
 import pytest
@@ -13,7 +14,7 @@ def test_help_names_every_command_which_is_a_program_and_another_is_a_sentence(c
     assert main([]) == main(["--help"]) == 0
     told = capsys.readouterr().out
     for name, module in COMMANDS.items():
-        assert name in told
+        assert re.search(rf"^    {name} +[A-Z].+\.$", told, re.M)
         assert callable(importlib.import_module(module).main)
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"palpate {palpate.__version__}\n"

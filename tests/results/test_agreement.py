@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate
 from palpate.results.agreement import LESS, agreed
 from palpate.results.store import PROGRAM
-from palpate.results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
-from tests.results.test_writer import FRAME, SIZE
+from tests.results.fields import opened
+from tests.results.test_writer import FRAME
 from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
@@ -28,7 +28,7 @@ def test_a_frame_is_no_surer_than_its_contact() -> None:
     assert agreed(SURE, run, UNKNOWN_FORCE).verdict == run.verdict == "determined"
     for ended in (unsure, dataclasses.replace(NONE, onset_time_s=0.5)):
         found = agreed(dataclasses.replace(SURE, alarm="below"), ended, UNKNOWN_FORCE)
-        assert (found.verdict, found.values["determined"], found.alarm) == ("undetermined", "", "unknown")
+        assert (found.verdict, found.determined, found.alarm) == ("undetermined", "", "unknown")
         assert found.detail.endswith(LESS)
     before = dataclasses.replace(SURE, time_s=0.4)
     assert agreed(before, unsure, UNKNOWN_FORCE) is before
@@ -36,14 +36,14 @@ def test_a_frame_is_no_surer_than_its_contact() -> None:
 
 def test_rows_of_a_pull_hold_its_relative_force(tmp_path: Path) -> None:
     times = np.linspace(0.04, 0.32, 8)
-    grip = GripEstimate(0.6, 0.1, times, times / 0.32, np.full(8, 0.01))
+    grip = PullResult(0.6, 0.1, times, times / 0.32, np.full(8, 0.01))
     run = dataclasses.replace(NONE, onset_time_s=0.0, grip=grip)
     assert run.verdict == "relative_force"
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
+    with opened(tmp_path / "clip") as output:
         for index in range(9):
             output.write(FRAME, FrameEstimate(index, index / 25, "ok", verdict="undetermined", contact=True))
         output.add(run)
-        output.finish({"program": PROGRAM}, title="clip")
+        output.finish({"program": PROGRAM})
     rows = read_rows(tmp_path / "clip" / "parameters.csv")
     assert [row["verdict"] for row in rows] == ["relative_force"] * 9
     assert {row["determined"] for row in rows} == {"relative_force"}

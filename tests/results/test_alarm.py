@@ -10,10 +10,10 @@ from benchmarks.recovery.suites import EVERY, GRID_SIZE, suite_clip_seed
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
+from palpate.physics.identifiability import NINETY
 from palpate.results.alarm import ForceAlarm, upper_force
 from tests.estimators.estimates import ESTIMATE
 

@@ -12,8 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
-from palpate.results.bag import write_bag
-from palpate.results.forces import ENDS, ContactForce, forces_record
+from palpate.estimators.result import ENDS
+from palpate.results.artefacts.bag import write_bag
+from palpate.results.artefacts.forces import ContactForce, forces_record
 from palpate.results.store import BAGS
 from tests.data.bags import BEGIN, RATE
 from tests.data.bags import write_bag as write_given

@@ -11,13 +11,12 @@ import yaml
 
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.force_scale import ClipLength
-from palpate.estimators.grip.grip_estimate import GripEstimate
+from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import InteractionEstimate
 from palpate.results import calibrated as newtons
-from palpate.results.columns import CALIBRATED
 from palpate.results.store import own_files
-from palpate.results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE
+from tests.results.fields import opened
 from tests.tables import read_rows
 
 UNKNOWN, METRIC = ClipLength(1.0), ClipLength(0.5, 0.5)
@@ -55,7 +54,7 @@ def test_every_run_has_a_row_with_its_unit_and_source(tmp_path: Path) -> None:
     assert later["force_high"] / later["force"] == pytest.approx(math.exp(1.6449 * log_sd), rel=1e-4)
     assert known["force_high"] / known["force"] == pytest.approx(math.exp(1.6449 * 0.05), rel=1e-4)
     assert later["determined"] == "stiffness;damping;force"
-    assert set(later) <= set(CALIBRATED)
+    assert set(later) <= set(newtons.CALIBRATED.columns)
 
 
 def test_without_a_known_contact_the_rows_say_why(tmp_path: Path) -> None:
@@ -85,7 +84,7 @@ def test_a_frame_s_force_has_an_upper_end_in_newtons_once_a_scale_is_known(tmp_p
 
 def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
     times = np.linspace(0.1, 0.8, 8)
-    grip = GripEstimate(0.6, 0.1, times, times / 0.8, np.zeros(8))
+    grip = PullResult(0.6, 0.1, times, times / 0.8, np.zeros(8))
     write_forces(tmp_path, 3 * np.arange(21) * 0.02 / 0.8)
     told = calibrated(tmp_path)
     force = told.add(dataclasses.replace(NONE, onset_time_s=0.0, grip=grip))
@@ -97,10 +96,10 @@ def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:
 def test_the_table_is_written_and_is_the_program_s_own(tmp_path: Path) -> None:
     write_forces(tmp_path, np.full(100, 2.0))
     told = calibrated(tmp_path)
-    with ClipResults(tmp_path / "clip", (64, 48), 25.0, overlay=False, calibration=told) as output:
+    with opened(tmp_path / "clip", calibration=told) as output:
         output.add(GOOD)
         output.calibrate(UNKNOWN)
-        output.finish({"program": "infer.py"}, title="clip")
+        output.finish({"program": "infer.py"})
     [row] = read_rows(tmp_path / "clip" / "calibrated.csv")
-    assert tuple(row) == tuple(CALIBRATED)
+    assert tuple(row) == tuple(newtons.CALIBRATED.columns)
     assert "calibrated.csv" in own_files(tmp_path / "clip")

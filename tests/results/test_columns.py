@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.estimate import PressCourse
+from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate, InteractionEstimate, Touch
 from palpate.physics.identifiability import bounds
-from palpate.results.columns import FRAMES, INTERACTIONS, interaction_values, row
 from tests.estimators.estimates import ESTIMATE, GOOD, frame_in_contact
 from tests.results.fields import GRIP
 
@@ -23,20 +23,25 @@ DEVIATES = norm.ppf((np.arange(100_000) + 0.5) / 100_000)
 
 
 def of_frame(frame: FrameEstimate) -> dict[str, str]:
-    return dict(zip(FRAMES, row(FRAMES, frame.values), strict=True))
+    return dict(zip(FRAMES.columns, FRAMES.row(frame), strict=True))
 
 
 def of_run(run: InteractionEstimate) -> dict[str, str]:
-    return dict(zip(INTERACTIONS, row(INTERACTIONS, interaction_values(run)), strict=True))
+    return dict(zip(CONTACTS.columns, CONTACTS.row(*run.rows), strict=True))
 
 
 def test_the_promised_columns_are_there() -> None:
-    assert set(PROMISED.split(",")) <= set(FRAMES)
+    assert set(PROMISED.split(",")) <= set(FRAMES.columns)
 
 
 def test_a_frame_leaves_unknown_cells_empty() -> None:
     frame = frame_in_contact(
-        "undetermined", (0.25, 0.125, -2.0), number=5, time_s=0.2, contact=True, contact_u=3.5, contact_v=4.0
+        "undetermined",
+        (0.25, 0.125, -2.0),
+        number=5,
+        time_s=0.2,
+        contact=True,
+        touch=Touch(contact_u=3.5, contact_v=4.0),
     )
     filled = {name: value for name, value in of_frame(frame).items() if value}
     told = {"frame": "5", "time_s": "0.200000", "contact": "1", "contact_u": "3.5", "contact_v": "4"}
@@ -74,14 +79,6 @@ def assert_log_normal(found: dict[str, str], name: str, value: float, log_sd: fl
     assert ends == pytest.approx(np.quantile(draws, (0.05, 0.95)), rel=1e-4)
 
 
-def test_estimates_have_the_same_columns_in_the_same_order_in_both_tables() -> None:
-    def of_estimates(columns: dict[str, str]) -> list[str]:
-        return [name for name in columns if name.startswith(("stiffness", "damping", "force"))]
-
-    assert of_estimates(INTERACTIONS) == of_estimates(FRAMES)
-    assert len(of_estimates(INTERACTIONS)) == 23
-
-
 def test_a_run_without_estimate_has_no_numbers() -> None:
     found = of_run(InteractionEstimate(7, 7, 0.28, detail="Because."))
     told = {"onset_frame": "7", "onset_time_s": "0.280000", "frames": "0", "status": "no_estimate"}
@@ -90,7 +87,11 @@ def test_a_run_without_estimate_has_no_numbers() -> None:
 
 def test_parameters_at_their_ranges_end_and_delays_are_told() -> None:
     at_bound, delays = np.array([False, False, True]), (0.01, -0.02)
-    found = of_run(dataclasses.replace(GOOD, estimate=dataclasses.replace(ESTIMATE, at_bound=at_bound, delays=delays)))
+    found = of_run(
+        dataclasses.replace(
+            GOOD, estimate=dataclasses.replace(ESTIMATE, at_bound=at_bound, course=PressCourse(*delays))
+        )
+    )
     assert found["at_bound"] == "force"
     assert (float(found["delay_s"]), float(found["release_delay_s"])) == delays
     plain = of_run(GOOD)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from palpate.common.files import as_json
+from palpate.estimators.estimate import PressCourse
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.physics.load import PressShape
-from palpate.results.forces import RELATIVE, ContactForce, forces_record
+from palpate.results.artefacts.forces import RELATIVE, ContactForce, forces_record
 from tests.estimators.estimates import ESTIMATE, GOOD, NONE
 from tests.results.fields import GRIP, PULL
 
@@ -45,7 +46,7 @@ def test_a_press_is_held_and_unknown_after_what_was_observed_or_estimated() -> N
 
 def test_a_press_that_rises_and_falls() -> None:
     shape = PressShape(rise=2 * STEP, fall=2 * STEP)
-    estimate = dataclasses.replace(ESTIMATE, shape=shape, delays=(-STEP / 2, STEP / 2))
+    estimate = dataclasses.replace(ESTIMATE, course=PressCourse(-STEP / 2, STEP / 2, shape=shape))
     found = told(dataclasses.replace(GOOD, estimate=estimate, load_s=6 * STEP), "xxxxxx")
     assert [*found["force"], found["mean"]] == pytest.approx([0.25, 0.75, 1, 1, 1, 0.75, 4.75 / 6])
 

@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.estimators.records import FrameEstimate
+from palpate.estimators.records import FrameEstimate, Touch
+from palpate.estimators.result import UNITS
 from palpate.results import overlay
-from palpate.results.columns import UNITS
 from palpate.results.overlay import canvas_size, draw_overlay, text_width, wrap_text
-from palpate.results.verdicts import COLORS
+from palpate.results.verdicts import NOTES
 from tests.estimators.estimates import frame_in_contact
 
 SIZE = (640, 360)
 THETA = (0.5, 0.1, -2.0)
-OK = frame_in_contact("undetermined", THETA, contact=True, contact_u=400.0, contact_v=200.0)
+OK = frame_in_contact("undetermined", THETA, contact=True, touch=Touch(contact_u=400.0, contact_v=200.0))
 
 
 def grey(size: tuple[int, int] = SIZE) -> np.ndarray:
@@ -50,7 +50,12 @@ def test_outlines_lie_where_the_masks_end() -> None:
 
 def test_contact_ring_and_arrow_are_drawn_there() -> None:
     plain = draw_overlay(grey(), SIZE, None, frame_in_contact("undetermined", THETA))
-    drawn = draw_overlay(grey(), SIZE, None, dataclasses.replace(OK, arrow=((500.0, 120.0), (400.0, 200.0))))
+    drawn = draw_overlay(
+        grey(),
+        SIZE,
+        None,
+        dataclasses.replace(OK, touch=dataclasses.replace(OK.touch, arrow=((500.0, 120.0), (400.0, 200.0)))),
+    )
     changed = (plain != drawn).any(axis=2)
     rows, columns = np.nonzero(changed)
     assert changed[160, 450]
@@ -70,7 +75,9 @@ def test_panel_shows_numbers_only_where_there_are_some() -> None:
     names = [name for name, _ in overlay._number_lines(OK)]
     assert names == ["stiffness k_s", "damping k_d", "force |F|"]
     assert overlay._number_lines(FrameEstimate(1, 0.0, "no_tool")) == []
-    lines = overlay._number_lines(frame_in_contact("determined", THETA, (1.04, 1.04, 1.04), observed_displacement=0.02))
+    lines = overlay._number_lines(
+        frame_in_contact("determined", THETA, (1.04, 1.04, 1.04), touch=Touch(observed_displacement=0.02))
+    )
     numbers = [("stiffness k_s", "0.5 ± 0.02"), ("damping k_d", "0.1 ± 0.0039"), ("force |F|", "2 ± 0.078")]
     assert lines == [*numbers, ("displacement, observed", "0.02")]
 
@@ -78,14 +85,18 @@ def test_panel_shows_numbers_only_where_there_are_some() -> None:
 @pytest.mark.parametrize("verdict", ["determined", "ratios", "undetermined", "onset_in_view"])
 def test_the_dot_has_the_colour_of_the_verdict(verdict: str) -> None:
     picture = draw_overlay(grey(), SIZE, None, frame_in_contact(verdict, THETA, (2, 2, 2)))
-    found = [name for name in COLORS if (picture[:40, :40] == COLORS[name]).all(axis=2).sum() > 20]
+    found = [name for name in NOTES if (picture[:40, :40] == NOTES[name].color).all(axis=2).sum() > 20]
     assert verdict in found
     assert ("determined" in found) == (verdict == "determined")
 
 
 def test_notes_say_what_the_numbers_cannot() -> None:
     estimate = frame_in_contact(
-        "undetermined", THETA, (2, 2, 2), detail="Because.", simulated_displacement=0.05, observed_displacement=0.02
+        "undetermined",
+        THETA,
+        (2, 2, 2),
+        detail="Because.",
+        touch=Touch(simulated_displacement=0.05, observed_displacement=0.02),
     )
     assert overlay._notes(estimate) == [
         "Not determined by what was observed so far.",

@@ -19,11 +19,10 @@ from palpate.__main__ import main
 from palpate.common.output import is_own
 from palpate.data.prepared import OUT_OF_CONTACT
 from palpate.data.synthetic.clip import write_clip
-from palpate.results.page.gather import TEXTS
 from palpate.results.page.render import write_pages
 from palpate.results.record import PERSISTENT
 from palpate.results.store import OutputError
-from palpate.results.verdicts import COLORS, MEANINGS
+from palpate.results.verdicts import NOTES
 from tests.chromium import CHROMIUM
 from tests.tables import read_rows
 from tests.test_infer import SCENE
@@ -157,8 +156,8 @@ def test_a_page_that_can_not_be_written_or_found_is_one_sentence(
 
 def test_every_status_and_verdict_has_a_remedy() -> None:
     statuses = {"ok", *OUT_OF_CONTACT, *PERSISTENT, "no_tissue"}
-    assert set(TEXTS["statuses"]) == statuses
-    assert set(TEXTS["verdicts"]) == {*MEANINGS, "no_estimate"} == set(COLORS) - statuses - {"doubtful"}
+    assert statuses <= set(NOTES)
+    assert {name for name, note in NOTES.items() if not note.remedy} == {"ok", "doubtful"}
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")

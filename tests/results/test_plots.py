@@ -11,10 +11,10 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.records import InteractionEstimate
-from palpate.results.plots import MOST_PANELS, draw_fits, write_figure
-from palpate.results.verdicts import COLORS, state
+from palpate.physics.identifiability import NINETY
+from palpate.results.artefacts.fit import MOST_PANELS, draw_fits, write_figure
+from palpate.results.verdicts import NOTES, state
 from tests.estimators.estimates import CONTACT, ESTIMATE, GOOD, NONE
 from tests.results.fields import GRIP, PULL, TIMES
 
@@ -55,7 +55,7 @@ def test_long_and_odd_names_are_written_whole_and_inside(tmp_path: Path) -> None
 def test_a_fit_shows_verdict_numbers_observation_simulation_and_release() -> None:
     (axes,) = fits(GOOD)
     assert heading(axes) == "determined: contact from frame 7, k_s 0.5 ± 0.083, k_d 0.06 ± 0.02, |F| 0.1 ± 0.0082"
-    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(np.divide(COLORS["determined"], 255))
+    assert to_rgb(axes.texts[0].get_color()) == pytest.approx(np.divide(NOTES["determined"].color, 255))
     np.testing.assert_allclose(observed(axes), (CONTACT.observation.times, np.zeros(8)))
     np.testing.assert_allclose(curve(axes, "simulated with the fit"), ([0.0, 0.32], [0.0, 0.02]))
     assert curve(axes, "release, 0.160 s")[0] == pytest.approx(0.16)

@@ -2,6 +2,7 @@
 
 import json
 import os
+from argparse import Namespace
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from palpate.estimators.records import FrameEstimate
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.onnx_session import ParameterModel, PosteriorModel
 from palpate.results import record as recording
+from palpate.results.artefacts.base import artefacts
 from palpate.results.store import write_record
 from palpate.results.writer import ClipResults
 from tests.inference_inputs import metadata, write_clip, write_model, write_posterior
@@ -79,14 +81,15 @@ def test_record_holds_hashes_counts_units_and_times(tmp_path: Path) -> None:
     source = open_source(path, settings.layout)
     clip = ClipStream(source, settings)
     session = estimator.start(ClipInfo.of(clip))
-    with ClipResults(tmp_path / "out", source.size, source.fps) as results:
+    options = Namespace(overlay=True, bag=None, export=None, force_scale=None)
+    with ClipResults(tmp_path / "out", source, artefacts(options, estimator)) as results:
         frames = list(clip)
         found = [item for frame in frames for item in session.push(frame)] + list(session.finish())
         for frame, estimate in zip(frames, found[:-1], strict=True):
             results.write(frame, estimate)
         results.add(found[-1])
         record = recording.build_record(clip, causes, model, results, {**clip.seconds, **results.seconds})
-        results.finish(record, title="clip")
+        results.finish(record)
     stored = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
     assert stored["input"]["path"] == str(path.resolve())
     assert stored["input"]["sha256"] == recording.sha256_of(path)
@@ -142,7 +145,7 @@ def test_warnings_name_sources_the_model_was_not_trained_on(source: FrameSource,
 
 @pytest.mark.parametrize(
     ("calibration", "told"),
-    [(Calibration(), [recording.WARNINGS["uncalibrated"]]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])],
+    [(Calibration(), [recording.UNCALIBRATED]), (Calibration(Widths(power=(1.0, 0.8, 1.0))), [])],
 )
 def test_intervals_that_were_never_calibrated_are_warned_of(calibration, told, source, tmp_path) -> None:
     document = metadata() | {"calibration": asdict(calibration)}

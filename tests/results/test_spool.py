@@ -4,10 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.results.spool import FrameSpool, Waiting
-from tests.estimators.estimates import frame_in_contact
-
-ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True)
+from palpate.results.spool import FrameSpool, Shown
+from tests.results.fields import FIELD_SEEN
 
 
 def picture(index: int) -> np.ndarray:
@@ -18,24 +16,19 @@ def picture(index: int) -> np.ndarray:
 def test_frames_come_back_in_order(tmp_path: Path) -> None:
     spool, labels = FrameSpool(tmp_path), np.arange(12, dtype=np.uint8).reshape(3, 4) % 3
     for index in range(3):
-        spool.add(Waiting(picture(9 * index), labels, ESTIMATE))
-    spool.add(Waiting(None, None, ESTIMATE))
+        spool.add(Shown(picture(9 * index), labels, FIELD_SEEN))
+    spool.add(Shown(None, None, None))
     assert len(spool) == 4
     found = list(spool.drain())
     assert len(spool) == 0
     for index, frame in enumerate(found[:3]):
         assert np.abs(frame.image.astype(int) - picture(9 * index)).max() <= 12
         np.testing.assert_array_equal(frame.labels, labels)
-        assert frame.estimate is ESTIMATE
+        np.testing.assert_array_equal(frame.field.positions, FIELD_SEEN.positions)
     assert found[3].image is None
     assert found[3].labels is None
-
-
-def test_a_drained_spool_takes_frames_again_and_its_file_has_no_name(tmp_path: Path) -> None:
-    spool = FrameSpool(tmp_path)
-    for index in (0, 20):
-        spool.add(Waiting(picture(index), None, ESTIMATE))
-        (frame,) = spool.drain()
-        assert np.abs(frame.image.astype(int) - picture(index)).max() <= 12
-    assert list(tmp_path.iterdir()) == []
+    spool.add(Shown(picture(20), None, None))  # a drained spool takes frames again
+    (frame,) = spool.drain()
+    assert np.abs(frame.image.astype(int) - picture(20)).max() <= 12
+    assert list(tmp_path.iterdir()) == []  # its file has no name
     spool.close()

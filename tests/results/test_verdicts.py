@@ -3,7 +3,7 @@
 import pytest
 
 from palpate.estimators.records import FrameEstimate
-from palpate.results.verdicts import COLORS, MEANINGS, digits, numbers, state
+from palpate.results.verdicts import NOTES, digits, numbers, state
 
 VALUES = {
     **dict.fromkeys(("stiffness_sd", "damping_sd", "force_sd"), 0.0123),
@@ -17,10 +17,10 @@ NO_INTERVAL = {"stiffness": 0.5123, "damping": 0.0512, "force": 0.1024}
 
 
 def test_verdicts_have_colours_and_meanings_and_only_determined_is_green() -> None:
-    of_grips = {"relative_force", "stiffness_ratios"}
-    assert set(MEANINGS) == of_grips | {"determined", "ratios", "undetermined", "onset_in_view"}
-    assert set(MEANINGS) <= set(COLORS)
-    green = [name for name, (red, strongest, blue) in COLORS.items() if strongest > 1.2 * max(red, blue)]
+    said = {name for name, note in NOTES.items() if note.text}
+    assert set(NOTES) - said == {"doubtful", "no_estimate"}
+    colors = {name: note.color for name, note in NOTES.items()}
+    green = [name for name, (red, strongest, blue) in colors.items() if strongest > 1.2 * max(red, blue)]
     assert green == ["determined"]
 
 
@@ -44,10 +44,6 @@ def test_no_number_is_surer_than_its_verdict(verdict: str, values: dict[str, flo
     told = numbers(verdict, values)
     assert [name for name, _ in told] == ["k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s"][: len(expected)]
     assert [text for _, text in told] == expected
-
-
-def test_a_frame_without_parameters_has_no_numbers() -> None:
-    assert numbers("undetermined", FrameEstimate(0, 0.0, "ok", verdict="undetermined").values) == []
 
 
 @pytest.mark.parametrize(("value", "expected"), [(0.000456, "0.00046"), (348.2, "350"), (1.0, "1"), (0.0, "0")])

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from palpate.estimators.direct.estimator import fitted_press
-from palpate.estimators.estimate import NINETY, NoEstimate
+from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.online.particle_field import StiffnessMap
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.surface import make_surface
+from palpate.estimators.result import values_of
+from palpate.physics.identifiability import NINETY
 from palpate.physics.mechanics import PARAMETERS
-from palpate.results.vtu import deformation_of, write_series
+from palpate.results.artefacts.export import deformation_of, write_series
 from tests.estimators.estimates import CONTACT, GOOD, MECHANICS, NONE, THETA
 from tests.estimators.online.test_driven import CAMERA, GEOMETRY, driven, first_frame
 from tests.physics.sheets import whole_field
@@ -36,7 +39,7 @@ def test_a_press_moves_as_simulated_and_holds_its_estimate(tmp_path):
     last = simulated[round(0.08 / MECHANICS.time_step) - 1]
     np.testing.assert_allclose(read.point_data["displacement"], last, rtol=1e-9, atol=1e-12)
     assert not meshio.read(tmp_path / "scene_4_0000.vtu").point_data["displacement"].any()
-    numbers = RUN.estimate.numbers()
+    numbers = values_of(RUN.estimate.numbers)
     for name in PARAMETERS:
         said = [numbers[f"{name}{end}"] for end in ("", "_low", "_high")]
         np.testing.assert_allclose(np.ravel(read.field_data[name]), said)
@@ -64,8 +67,9 @@ def test_a_field_has_a_stiffness_at_every_particle(thickness, tmp_path):
     tissue = driven(surface, np.linspace(0.1, 1, 10), method=Method("PBD"))  # one field from the beginning on
     body, count = surface.body, len(surface.body.rest)
     last = dataclasses.replace(
-        PULL.last, distance_log_sd=np.full(count, 0.2), shape_log_sd=np.full(count, np.inf), faces=body.faces,
-        tetrahedra=body.tetrahedra, known=np.ones(count, bool), shape_known=np.zeros(count, bool),
+        PULL.last, faces=body.faces, tetrahedra=body.tetrahedra,
+        distance=StiffnessMap(body.rest[:, 0], np.full(count, 0.2), np.ones(count, bool)),
+        shape=StiffnessMap(body.rest[:, 0], np.full(count, np.inf), np.zeros(count, bool)),
     )  # fmt: skip
     times = 0.04 * np.arange(len(tissue.past) + 1)
     found = deformation_of(

@@ -12,35 +12,33 @@ import pytest
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
 from palpate.estimators.calibration_file import read_calibration
+from palpate.estimators.estimate import LightFit
 from palpate.estimators.force_scale import ClipLength
-from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.records import FrameEstimate
+from palpate.estimators.grip.grip_estimate import PullResult
+from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate
 from palpate.results.alarm import ForceAlarm
+from palpate.results.artefacts.fit import MOST_PANELS, FitPicture
 from palpate.results.calibrated import ClipCalibration
-from palpate.results.columns import FRAMES, INTERACTIONS
-from palpate.results.plots import MOST_PANELS
 from palpate.results.store import PROGRAM, OutputError, is_up_to_date, own_files, partial_folder, read_record
 from palpate.results.verdicts import state
-from palpate.results.writer import ClipResults
 from tests.estimators.estimates import GOOD, NONE, frame_in_contact
-from tests.results.fields import PULL
+from tests.results.fields import PULL, SIZE, UNKNOWN, opened
 from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")
-SIZE = (64, 48)
 SEEN = Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8))
 FRAME = PreparedFrame(SEEN, "ok", "", np.ones((12, 16), np.float32), np.zeros((12, 16), np.uint8))
-ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True, contact_u=3.5, contact_v=4.0)
+ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True)
 NONE_SEEN = FrameEstimate(8, 0.32, "no_tool")
 NAMES = ["fit.png", "forces.json", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json"]
 
 
 def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) -> None:
-    with ClipResults(folder, SIZE, 25.0, overlay=overlay) as output:
+    with opened(folder, overlay=overlay) as output:
         output.write(FRAME, ESTIMATE)
         output.add(GOOD)
         record = {"program": PROGRAM, "fingerprint": fingerprint, "input": {"path": "clip.mp4"}}
-        output.finish(record, title="clip")
+        output.finish(record)
 
 
 def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
@@ -54,28 +52,28 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
 
 
 def test_a_clip_without_frames_and_contact_has_the_tables_heads(tmp_path: Path) -> None:
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
-        output.finish({}, title="clip")
-    for name, columns in (("parameters.csv", FRAMES), ("interactions.csv", INTERACTIONS)):
+    with opened(tmp_path / "clip") as output:
+        output.finish({})
+    for name, columns in (("parameters.csv", FRAMES.without("alarm")), ("interactions.csv", CONTACTS)):
         with (tmp_path / "clip" / name).open(encoding="utf-8", newline="") as stream:
-            assert list(csv.reader(stream)) == [list(columns)]
+            assert list(csv.reader(stream)) == [list(columns.columns)]
 
 
 def test_a_known_force_that_does_not_reach_a_pull_is_said(tmp_path: Path) -> None:
     """Half of the first run of contact is measured, nothing of the last."""
     times = np.linspace(0.1, 0.8, 8)
-    grip = GripEstimate(0.6, 0.1, times, times / 0.8, np.zeros(8))
+    grip = PullResult(0.6, 0.1, times, times / 0.8, np.zeros(8))
     run = dataclasses.replace(NONE, onset_time_s=0.5, grip=grip)
     late = dataclasses.replace(run, onset_time_s=5.0)
     times_s = np.linspace(0.5, 0.9, 3)
     table = "\n".join(f"{time},{force}" for time, force in zip(times_s, 3.75 * (times_s - 0.5), strict=True))
     (tmp_path / "forces.csv").write_text(f"time_s,force_N\n{table}\n")
     calibration = ClipCalibration(read_calibration(tmp_path / "forces.csv"))
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, calibration=calibration) as output:
+    with opened(tmp_path / "clip", calibration=calibration) as output:
         for item in (run, NONE, late):
             output.add(item)
         output.calibrate(ClipLength(1.0))
-        output.finish({"program": PROGRAM}, title="clip")
+        output.finish({"program": PROGRAM})
     said = [row["detail"] for row in read_rows(tmp_path / "clip" / "interactions.csv")]
     assert "force" not in said[0]
     assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for the other frames.")
@@ -87,24 +85,25 @@ def test_an_alarm_has_a_column_and_goes_on_until_its_run_ends(tmp_path: Path) ->
     alarm = ForceAlarm(1.0, "N", 1.0)
     sure = frame_in_contact("determined", (0.25, 0.125, -1.0), (1.1, 1.1, 1.1), contact=True)
     less = frame_in_contact("determined", (0.25, 0.125, -0.85), (1.1, 1.1, 1.1), contact=True)
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, alarm=alarm) as output:
+    with opened(tmp_path / "clip", alarm=alarm) as output:
         for item in (ESTIMATE, sure, less, GOOD, less, dataclasses.replace(NONE_SEEN, contact=False)):
             output.add(item) if item is GOOD else output.write(FRAME, item)
-        output.finish({"program": PROGRAM}, title="clip")
+        output.finish({"program": PROGRAM})
     found = read_rows(tmp_path / "clip" / "parameters.csv")
-    assert tuple(found[0]) == (*FRAMES, "alarm")
+    assert tuple(found[0]) == tuple(FRAMES.columns)
     assert [row["alarm"] for row in found] == ["unknown", "above", "above", "below", ""]
     assert alarm.record()["frames"] == {"no_contact": 1, "below": 1, "above": 2, "unknown": 1}
 
 
 def test_runs_of_contact_are_counted_by_verdict_and_those_with_a_motion_are_drawn_first(tmp_path: Path) -> None:
     loose = dataclasses.replace(GOOD, estimate=dataclasses.replace(GOOD.estimate, covariance=np.eye(3)))
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
+    with opened(tmp_path / "clip") as output:
         assert output.counts == {}
         for run in [NONE] * MOST_PANELS + [GOOD, loose, GOOD]:
             output.add(run)
         assert output.counts == {"determined": 2, "undetermined": 1, "no_estimate": MOST_PANELS}
-        drawn = [state(run) for run in output.drawn]
+        [picture] = (item for item in output.artefacts if isinstance(item, FitPicture))
+        drawn = [state(run) for run in picture.drawn]
     assert drawn == ["determined", "undetermined", "determined"] + ["no_estimate"] * (MOST_PANELS - 3)
 
 
@@ -113,7 +112,7 @@ def test_failure_keeps_earlier_results_and_leaves_no_rest(tmp_path: Path) -> Non
     write_clip(folder, "first")
 
     def fail() -> None:
-        with ClipResults(folder, SIZE, 25.0) as output:
+        with opened(folder, overlay=True) as output:
             output.write(FRAME, ESTIMATE)
             raise KeyboardInterrupt
 
@@ -129,7 +128,7 @@ def test_rests_of_a_killed_run_are_cleared(tmp_path: Path) -> None:
     for name in ("parameters.csv", ".fit.png.partial"):
         (killed / name).write_text("unfinished")
     killed.rename(tmp_path / f".clip.partial-{2**22 + 1}")  # above the largest process id of Linux
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False):
+    with opened(tmp_path / "clip"):
         pass
     assert read_record(tmp_path / "clip")["fingerprint"] == "earlier"
     assert [path.name for path in tmp_path.iterdir()] == ["clip"]
@@ -172,17 +171,16 @@ def test_a_user_s_files_stay_beside_new_results(tmp_path: Path) -> None:
 
 
 def test_fields_that_are_not_explained_or_not_determined_are_undetermined(tmp_path: Path) -> None:
-    lost = dataclasses.replace(PULL.last, known=np.zeros(4, bool))
     runs = [
-        dataclasses.replace(PULL, last=dataclasses.replace(lost, skill=skill), stretched=stretched)
+        dataclasses.replace(PULL, last=dataclasses.replace(UNKNOWN, skill=skill), stretched=stretched)
         for skill, stretched in ((0.0, True), (0.6, True), (0.6, False), (float("nan"), False))
     ]
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False) as output:
+    with opened(tmp_path / "clip") as output:
         for field in (PULL, *runs):
             output.add(dataclasses.replace(NONE, field=field))
         assert output.counts == {"stiffness_ratios": 1, "undetermined": 4}
         assert output.stretched
-        output.finish({"program": PROGRAM}, title="clip")
+        output.finish({"program": PROGRAM})
     found = read_rows(tmp_path / "clip" / "interactions.csv")
     assert [(row["status"], row["verdict"], row["determined"]) for row in found[:2]] == [
         ("ok", "stiffness_ratios", "stiffness_ratios"),
@@ -192,14 +190,14 @@ def test_fields_that_are_not_explained_or_not_determined_are_undetermined(tmp_pa
 
 
 def test_the_fit_of_a_press_by_its_shading_stands_in_all_its_frames(tmp_path: Path) -> None:
-    fit = dataclasses.replace(GOOD.estimate, by_light=True, lag=0.4)
+    fit = dataclasses.replace(GOOD.estimate, light=LightFit(lag=0.4))
     empty = dataclasses.replace(ESTIMATE, estimate=None, verdict="")
-    with ClipResults(tmp_path / "clip", SIZE, 25.0, overlay=False, waits=True) as output:
+    with opened(tmp_path / "clip") as output:
         for contact in (False, True, True, False):
             output.write(FRAME, dataclasses.replace(empty, contact=contact))
         output.add(dataclasses.replace(GOOD, onset=1, onset_time_s=0.0, estimate=fit))
         output.write(FRAME, dataclasses.replace(empty, contact=True))  # of a run that has no record
-        output.finish({"program": PROGRAM}, title="clip")
+        output.finish({"program": PROGRAM})
         assert output.lag == 0.4
     rows = read_rows(tmp_path / "clip" / "parameters.csv")
     force = pytest.approx(abs(fit.theta[2]))

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from benchmarks.recovery import scores as scoring
-from palpate.estimators.estimate import NINETY
+from palpate.physics.identifiability import NINETY
 from tests.benchmarks.recovery_cases import off_by, recovery
 
 

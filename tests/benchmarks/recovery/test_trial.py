@@ -14,7 +14,7 @@ from benchmarks.recovery.suites import SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, TrueClip, run_trial
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.scene import SceneError
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressCourse, PressResult
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.estimators.open import settings_of
 from palpate.estimators.records import InteractionEstimate
@@ -23,7 +23,7 @@ from tests.estimators.sessions import clip_info
 
 SEED = suite_clip_seed("test", 0, 2)  # over-damped: the cheapest motion
 DIRECT = settings_of("direct")
-FOUND = Estimate(np.array([0.4, 0.05, -0.1]), np.eye(3), given_verdict="undetermined")
+FOUND = PressResult(np.array([0.4, 0.05, -0.1]), np.eye(3), given_verdict="undetermined")
 
 
 class Telling:
@@ -124,7 +124,7 @@ def told(monkeypatch, truth, estimator) -> Row:
     return recovery.estimated(DIRECT, clip, functools.partial(recovery._pressed, 3))
 
 
-NOT_FINITE = Estimate(np.array([np.nan, 0.1, -0.1]))
+NOT_FINITE = PressResult(np.array([np.nan, 0.1, -0.1]))
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_contacts_without_an_estimate_and_estimators_that_break_become_results(m
 def test_motions_that_are_not_explained_or_seen_aslant_are_warned_of(monkeypatch, truth, misfit, angle, warned):
     theta, at_bound = np.array([0.3, 0.05, -0.1]), np.array([False, True, False])
     said: dict[str, Any] = {"noise": 0.001, "misfit": misfit, "largest_misfit": 1.5, "at_bound": at_bound}
-    estimate = Estimate(theta, np.eye(3), information=np.eye(3), **said, view_angle=angle)
+    estimate = PressResult(theta, np.eye(3), information=np.eye(3), **said, course=PressCourse(view_angle=angle))
     row = told(monkeypatch, truth, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row["status"], row["warned"], row["verdict"]) == ("ok", warned, "undetermined")
     assert (row["noise"], row["misfit"]) == (0.001, misfit)
@@ -160,6 +160,6 @@ def test_motions_that_are_not_explained_or_seen_aslant_are_warned_of(monkeypatch
 
 
 def test_an_estimator_without_uncertainty_gives_no_verdict_and_no_warning(monkeypatch, truth):
-    estimate = Estimate(np.array([0.3, 0.05, -0.1]), given_verdict="undetermined")
+    estimate = PressResult(np.array([0.3, 0.05, -0.1]), given_verdict="undetermined")
     row = told(monkeypatch, truth, Telling(InteractionEstimate(3, 3, 0.12, estimate=estimate)))
     assert (row["status"], row["verdict"], row["warned"], row["covariance"]) == ("ok", "", None, None)

@@ -12,7 +12,7 @@ import pytest
 from palpate.data.contact.shaft import ShaftRuler, shaft_depth, shaft_edges
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.source.camera import Camera
-from palpate.estimators.estimate import NINETY
+from palpate.physics.identifiability import NINETY
 
 PICTURE, RADIUS = Camera.from_focal(600.0, 854, 480), 0.0025
 GRID = PICTURE.scaled(214, 120)

@@ -7,6 +7,7 @@ import pytest
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.estimator import doubts, simulated_motion
+from palpate.estimators.estimate import PressCourse
 from palpate.estimators.oblique import OBLIQUE
 from palpate.physics.load import held
 from palpate.physics.mechanics import RECOMMENDED
@@ -17,7 +18,7 @@ SHIFT = 8 * MECHANICS.time_step
 
 
 def motion(contact: Interaction = CONTACT, *delays: float) -> tuple[np.ndarray, np.ndarray]:
-    return simulated_motion(contact, dataclasses.replace(ESTIMATE, delays=delays), MECHANICS)
+    return simulated_motion(contact, dataclasses.replace(ESTIMATE, course=PressCourse(*delays)), MECHANICS)
 
 
 def test_the_simulated_motion_is_the_simulators_along_the_force_from_rest_on() -> None:
@@ -70,12 +71,12 @@ def test_doubts_name_a_model_that_explains_more_and_delays_at_the_end_of_their_r
     refuted = dataclasses.replace(ESTIMATE, refuted="Another explains it better.")
     assert (refuted.explained, refuted.verdict, refuted.determined) == (False, "undetermined", ())
     assert ESTIMATE.explained
-    assert "begun or ended a whole frame" in doubted(delays=(0.04,), delays_at_end=True)
-    assert "begun" not in doubted(delays=(0.01,))
+    assert "begun or ended a whole frame" in doubted(course=PressCourse(0.04, at_end=True))
+    assert "begun" not in doubted(course=PressCourse(0.01))
 
 
 def test_doubts_name_a_press_aslant_to_the_line_of_sight_whose_uncertainties_were_widened() -> None:
     misfit, angle = "The model does not explain the data: they lie 7 times the noise from it", OBLIQUE.format(12.0)
-    assert doubted(misfit=7.0, view_angle=3.0) == f"{misfit}, so the uncertainties are too small."
-    assert doubted(misfit=7.0, view_angle=12.0) == f"{angle} {misfit}."
-    assert doubted(misfit=1.0, view_angle=12.0) == angle
+    assert doubted(misfit=7.0, course=PressCourse(view_angle=3.0)) == f"{misfit}, so the uncertainties are too small."
+    assert doubted(misfit=7.0, course=PressCourse(view_angle=12.0)) == f"{angle} {misfit}."
+    assert doubted(misfit=1.0, course=PressCourse(view_angle=12.0)) == angle

@@ -12,7 +12,7 @@ from palpate.estimators.direct.contact_fit import field_optima, field_starts, fi
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import APART, Optimum
 from palpate.estimators.direct.sampling import sample_posterior
-from palpate.estimators.estimate import Estimate
+from palpate.estimators.estimate import PressResult
 from palpate.physics.identifiability import box_information, covariance
 from palpate.physics.mechanics import RECOMMENDED, Bounds
 from tests.estimators.direct import test_field as dents
@@ -21,7 +21,7 @@ from tests.estimators.direct.test_field import MECHANICS, REGIMES, WITHIN, conta
 BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)).log_box
 
 
-def fit(contact: Interaction, within: float = 0.0) -> Estimate:
+def fit(contact: Interaction, within: float = 0.0) -> PressResult:
     problem = SequenceProblem(contact, MECHANICS, within)
     return sampled(problem, field_optima(problem, BOX), BOX)
 
@@ -30,7 +30,7 @@ def starts_of(contact: Interaction) -> np.ndarray:
     return field_starts(SequenceProblem(contact, MECHANICS), BOX)
 
 
-def errors(estimate: Estimate, theta: tuple[float, float, float]) -> np.ndarray:
+def errors(estimate: PressResult, theta: tuple[float, float, float]) -> np.ndarray:
     """Of log θ, in the estimate's own standard deviations."""
     return np.log(estimate.theta / theta) / estimate.log_sd
 
@@ -139,8 +139,8 @@ def test_delays_are_found_as_well(name: str, delays: tuple[float, float]) -> Non
     theta = REGIMES[name]
     estimate = fit(contact_of(theta, *delays), WITHIN)
     assert (np.abs(errors(estimate, theta)) < 0.6).all()
-    np.testing.assert_allclose(estimate.delays, WITHIN * np.array(delays), atol=0.1 * WITHIN)
-    assert not estimate.delays_at_end
+    np.testing.assert_allclose(estimate.course.delays, WITHIN * np.array(delays), atol=0.1 * WITHIN)
+    assert not estimate.course.at_end
     # Who knows the instants knows more.
     known = fit(contact_of(theta, 0.0, 0.0))
     assert (estimate.log_sd > known.log_sd).all()

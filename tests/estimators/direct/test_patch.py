@@ -102,7 +102,7 @@ def test_without_a_release_there_is_no_fall() -> None:
 
 def test_a_step_is_fitted_as_one() -> None:
     found = fit_press(contact_of(dents.REGIMES["under-damped"]), MECHANICS, 0.0, None, RECOMMENDED.log_box)
-    assert found.shape is None
+    assert found.course.shape is None
 
 
 @pytest.mark.acceptance
@@ -111,10 +111,10 @@ def test_a_press_of_any_shape_is_found_with_its_tissue() -> None:
     found = fit_press(sequence_of(SHAPE, theta), MECHANICS, 0.0, None, RECOMMENDED.log_box)
     assert found.misfit < 0.3
     assert (np.abs(np.log(found.theta / theta)) < 0.5 * found.log_sd).all()
-    assert found.shape.radius == pytest.approx(SHAPE.radius, rel=0.03)
-    np.testing.assert_allclose(found.shape.offset, SHAPE.offset, atol=0.05)
-    np.testing.assert_allclose(found.shape.lean, SHAPE.lean, atol=0.05)
-    np.testing.assert_allclose([found.shape.rise, found.shape.fall], [SHAPE.rise, SHAPE.fall], atol=0.01)
+    assert found.course.shape.radius == pytest.approx(SHAPE.radius, rel=0.03)
+    np.testing.assert_allclose(found.course.shape.offset, SHAPE.offset, atol=0.05)
+    np.testing.assert_allclose(found.course.shape.lean, SHAPE.lean, atol=0.05)
+    np.testing.assert_allclose([found.course.shape.rise, found.course.shape.fall], [SHAPE.rise, SHAPE.fall], atol=0.01)
 
 
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:

@@ -12,11 +12,12 @@ import pytest
 from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
-from palpate.estimators.estimate import LEAST_SKILL, NoEstimate
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip import recorder as module
-from palpate.estimators.grip.grip_estimate import HELD, LEAST_LEAD, GripEstimate, force_error
+from palpate.estimators.grip.grip_estimate import HELD, LEAST_LEAD, PullResult, force_error
 from palpate.estimators.grip.lattice import GripFrame, fit_sheets
 from palpate.estimators.grip.recorder import GripRecorder
+from palpate.estimators.result import LEAST_SKILL
 from palpate.physics.mesh import Mesh, grid_mesh
 from tests.estimators.sessions import prepared_frame, touched
 
@@ -87,11 +88,11 @@ def run(count: int, pull: float, middle: np.ndarray = TIP, decay: float = DECAY)
 
 
 @pytest.fixture(scope="module")
-def pull() -> GripEstimate:
+def pull() -> PullResult:
     return run(12, 1.5).estimate()
 
 
-def test_the_force_of_a_pull_grows_as_the_grip_moves(pull: GripEstimate) -> None:
+def test_the_force_of_a_pull_grows_as_the_grip_moves(pull: PullResult) -> None:
     assert pull.skill > 0.6
     assert (pull.verdict, pull.determined) == ("relative_force", ("relative_force",))
     # The grip moves evenly, and the sheet is linear.
@@ -155,7 +156,7 @@ def test_frames_out_of_contact_and_without_a_picture_are_followed_through() -> N
     assert len(found._kept) == before
 
 
-def test_what_has_too_wide_an_interval_is_not_determined(pull: GripEstimate) -> None:
+def test_what_has_too_wide_an_interval_is_not_determined(pull: PullResult) -> None:
     vague = dataclasses.replace(pull, force_sd=np.full_like(pull.force, 1.0))
     assert vague.explained
     assert (vague.verdict, vague.determined) == ("undetermined", ())

@@ -9,11 +9,11 @@ import pytest
 from benchmarks.harness import Row, Store
 from palpate.data.contact.features import FEATURES, KNOWN, REFERENCE_SPACING
 from palpate.data.contact.sequence_features import WITHIN
-from palpate.estimators.estimate import NINETY
 from palpate.estimators.network.calibration import check_record, main, widths_of
 from palpate.models.calibration import LOG_DAMPING
 from palpate.models.calibration_fit import conformal_scale, fit_exponents
 from palpate.models.onnx_session import PosteriorModel
+from palpate.physics.identifiability import NINETY
 from palpate.results.record import sha256_of
 from tests.benchmarks.recovery_cases import off_by, recovery
 

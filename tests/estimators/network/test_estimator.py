@@ -13,13 +13,15 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.source import open_synthetic
 from palpate.estimators.contract import Preparation
-from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
+from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator, NetworkSettings
 from palpate.estimators.network.fits import BOUNDS, MECHANICS
 from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
 from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from palpate.estimators.onset import BETWEEN, STAMP
+from palpate.estimators.result import values_of
 from palpate.estimators.runs import contact_frame
+from palpate.physics.identifiability import NINETY
 from palpate.physics.load import held
 from palpate.physics.mechanics import theta_of
 from palpate.physics.msd.simulation import simulate
@@ -55,7 +57,7 @@ def built(pressed: SyntheticClip, frames: list[PreparedFrame], size: tuple[int, 
     return run.build(MECHANICS)
 
 
-def estimated(network: NetworkEstimator, contact: Interaction) -> Estimate:
+def estimated(network: NetworkEstimator, contact: Interaction) -> PressResult:
     """Of a contact at 25 frames a second."""
     return network.start(clip_info()).estimate(contact, None)
 
@@ -86,7 +88,7 @@ def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: lis
     assert [item.frame for item in results] == list(range(28))
     onset, release = pressed.motion.onset_frame, pressed.motion.release_frame
     for item in results:
-        values = item.values
+        values = values_of(item)
         if item.status != "ok":
             assert (item.estimate, item.verdict, "stiffness_sd" in values) == (None, "", False)
             continue
@@ -100,7 +102,8 @@ def test_every_frame_has_its_row(network: NetworkEstimator, pressed, frames: lis
         log_sd = math.log(high / low) / (2 * NINETY)
         expected = values["stiffness"] * math.exp(log_sd**2 / 2) * math.sqrt(math.expm1(log_sd**2))
         assert values["stiffness_sd"] == pytest.approx(expected)
-    assert results[onset + 2].values["force_bound"] > results[release - 1].values["force_bound"]
+    early, late = (results[at].estimate.numbers.force_bound for at in (onset + 2, release - 1))
+    assert early > late
 
 
 def test_a_stream_ends_where_the_whole_clip_would(network, pressed, frames, with_sequence) -> None:
@@ -210,7 +213,7 @@ def test_a_press_aslant_to_the_line_of_sight_widens_the_intervals(network, conta
     angles = LARGEST_ANGLE - 0.1, LARGEST_ANGLE + 0.1
     facing, oblique = (estimated(network, aslant(still, degrees)) for degrees in angles)
     assert max(facing.misfit, oblique.misfit) < LARGEST_MISFIT < HIDDEN_ERROR / 0.003
-    assert (facing.view_angle, oblique.view_angle) == pytest.approx(angles, abs=1e-3)
+    assert (facing.course.view_angle, oblique.course.view_angle) == pytest.approx(angles, abs=1e-3)
     np.testing.assert_allclose(oblique.theta, facing.theta, rtol=1e-3)
     added = added_by(5, oblique.information)
     np.testing.assert_allclose(oblique.covariance, facing.covariance + added, rtol=0.01, atol=1e-3)

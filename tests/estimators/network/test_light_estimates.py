@@ -10,6 +10,7 @@ from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import MARGIN, REACH, SIDE
 from palpate.estimators import runs
 from palpate.estimators.contract import Preparation
+from palpate.estimators.estimate import LightFit
 from palpate.estimators.network.estimator import NetworkEstimator, NetworkSettings
 from palpate.models.onnx_session import SHIPPED, PosteriorModel
 from tests.estimators.estimates import ESTIMATE
@@ -40,7 +41,7 @@ def watched() -> list[PreparedFrame]:
 
 
 def test_frames_have_no_estimate_and_the_whole_press_is_fitted(network, watched, monkeypatch) -> None:
-    fitted = dataclasses.replace(ESTIMATE, by_light=True)
+    fitted = dataclasses.replace(ESTIMATE, light=LightFit())
     monkeypatch.setattr(runs, "fit_shading", lambda contact, _: (contact, fitted, (np.zeros(1), np.zeros(1))))
     frames, (run,) = follow(network.start(clip_info()), watched)
     assert run.estimate is fitted

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from palpate.estimators.estimate import LEAST_SKILL
 from palpate.estimators.online.determined import uniform
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import Start
 from palpate.estimators.online.surface import Surface, make_surface
+from palpate.estimators.result import LEAST_SKILL
 from palpate.physics.pbd.simulation import simulate
 from palpate.physics.pbd.stiffness import Stiffness
 from tests.estimators.online.test_driven import AWAY, CAMERA, GEOMETRY, HEIGHT, POINTS, SETTINGS, driven, first_frame

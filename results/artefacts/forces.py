@@ -13,16 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from palpate.estimators.estimate import NINETY, Estimate
+from palpate.common.files import as_json
+from palpate.estimators.estimate import PressResult
 from palpate.estimators.force_scale import ClipLength
-from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
+from palpate.estimators.result import ENDS, Quantity
 from palpate.physics.load import PressShape
-from palpate.results.verdicts import MEANINGS, state
+from palpate.results import store
+from palpate.results.artefacts.base import Artefact
+from palpate.results.verdicts import NOTES, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
-ENDS, SIDES = ("", "_low", "_high"), (0, -1, 1)
-"""Of the names of a value and of the ends of its 90 % interval."""
 OPTIONAL = [f"{name}{end}" for name in ("mean", "peak", "force_over_stiffness_mm") for end in ENDS]
 OPTIONAL += ["peak_time_s", "metric_by"]
 """What not every contact has; null where it lacks."""
@@ -30,6 +31,15 @@ SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
 STILL = "Frames without a picture, or in which too little moves, tell no force."
+
+
+class ForceFile(Artefact):
+    """forces.json."""
+
+    name = store.REPORT
+
+    def finish(self) -> None:
+        self.path.write_text(as_json(self.clip.report()) + "\n", encoding="utf-8")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +51,9 @@ class ContactForce:
     verdict: str
     frames: np.ndarray
     """Indices of those frames in the clip, shape [T]."""
-    force: np.ndarray
-    """Along that of the last frame, shape [T], in `unit`; of a press over its F."""
-    low: np.ndarray
-    """Lower end of its 90 % interval, shape [T]."""
-    high: np.ndarray
-    """Upper end."""
+    curves: np.ndarray
+    """Force along that of the last frame and the ends of its 90 % interval, shape [3, T], in `unit`; of a press over
+    its F, without interval."""
     unit: str
     why: str
     """Why it is unknown somewhere."""
@@ -54,8 +61,8 @@ class ContactForce:
     """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
     direction: np.ndarray | None
     """Unit vector of a press's force on the tissue, shape [3], in the camera's axes; nobody knows a pull's."""
-    scene_ratio: tuple[float, ...]
-    """|F|/k_s of a press and the ends of its 90 % interval [scene units]; not numbers where it isn't determined."""
+    ratio: Quantity | None
+    """|F|/k_s of a press [scene units]; None where it isn't determined."""
 
     @classmethod
     def of(
@@ -78,46 +85,41 @@ class ContactForce:
         while touched and not estimates[touched[-1]].contact:
             touched.pop()
         found, times = run.main_estimate, np.array([estimates[index].time_s for index in touched])
-        force = low = high = pressed = np.full(len(touched), np.nan)
-        unit, why, direction = "", run.detail or "Nothing is determined of the force.", None
-        ratio = (math.nan,) * len(ENDS)
-        if isinstance(found, Estimate):
-            direction = None if run.interaction is None else np.sign(found.theta[2]) * run.interaction.direction
-            pressed = _pressed(run, found, times - run.onset_time_s, seconds)
-            values = found.numbers()
-            if "force_over_stiffness" in found.determined and not found.by_light:
-                ratio = tuple(values.get(f"force_over_stiffness{end}", math.nan) for end in ENDS)
-            if any(name.startswith("force") for name in found.determined):
-                force, unit, why = pressed, RELATIVE, LATER
-            elif found.given_verdict:
-                why = MEANINGS[run.verdict]
-        elif isinstance(found, FieldEstimate):
+        curves, pressed = np.full((3, len(touched)), np.nan), np.full(len(touched), np.nan)
+        unit, why, direction, ratio = "", run.detail or "Nothing is determined of the force.", None, None
+        press, pull = run.estimate, run.grip
+        if run.field is not None:
             why = "--estimator online tells no force."
-        elif found is not None and "relative_force" in found.determined:
+        elif pull is not None and found is pull:
             unit, why = RELATIVE if newtons is None else "N, by the force that was measured for a while", STILL
-            half = NINETY * found.force_sd
-            kept = np.stack([found.force, found.force - half, found.force + half])
-            force, low, high = _between(run.onset_time_s + found.times, kept if newtons is None else newtons, times)
+            curves = _between(run.onset_time_s + pull.times, pull.curves if newtons is None else newtons, times)
+        elif press is not None:
+            direction = None if run.interaction is None else np.sign(press.theta[2]) * run.interaction.direction
+            pressed = _pressed(run, press, times - run.onset_time_s, seconds)
+            if "force_over_stiffness" in press.determined and press.light is None:
+                ratio = press.quantity("force_over_stiffness")
+            if any(name.startswith("force") for name in press.determined):
+                curves[0], unit, why = pressed, RELATIVE, LATER
+            elif press.given_verdict:
+                why = NOTES[run.verdict].text
         place = run.onset_frame, run.onset_time_s, state(run)
-        return cls(*place, np.array(touched, int), force, low, high, unit, why, pressed, direction, ratio)
+        return cls(*place, np.array(touched, int), curves, unit, why, pressed, direction, ratio)
 
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
         """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
             return self
-        force, low, high = (self.pressed * row.get(f"force{end}", math.nan) for end in ENDS)
-        return dataclasses.replace(self, force=force, low=low, high=high, unit=row["force_unit"], why=LATER)
+        curves = np.stack([self.pressed * row.get(f"force{end}", math.nan) for end in ENDS])
+        return dataclasses.replace(self, curves=curves, unit=row["force_unit"], why=LATER)
 
     @property
     def relative(self) -> np.ndarray:
         """The force over its peak and the ends of its 90 % interval, shape [3, T]."""
-        curves = np.stack([self.force, self.low, self.high])
-        known = self.force[np.isfinite(self.force)]
-        peak = max(known, key=abs, default=0.0)
-        if peak:
-            curves = curves / peak
-            curves[1:] = np.sort(curves[1:], axis=0)
-        return curves
+        curves = self.curves
+        peak = max(curves[0, np.isfinite(curves[0])], key=abs, default=0.0)
+        if not peak:
+            return curves
+        return np.concatenate([curves[:1] / peak, np.sort(curves[1:] / peak, axis=0)])
 
     def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
         """What forces.json has of the run.
@@ -126,13 +128,11 @@ class ContactForce:
             estimates: of all of the clip's frames.
             lasts: how long each of those lasts, shape [N] [s].
         """
-        seconds, known = lasts[self.frames], np.isfinite(self.force)
-        curves = np.stack([self.force, self.low, self.high])
+        seconds, known = lasts[self.frames], np.isfinite(self.curves[0])
+        curves = self.relative if self.unit == RELATIVE else self.curves
         found: dict[str, Any] = dict.fromkeys(OPTIONAL)
         if known.any():
-            top = int(np.nanargmax(np.abs(self.force)))
-            if self.unit == RELATIVE:
-                curves = self.relative
+            top = int(np.nanargmax(np.abs(curves[0])))
             means = curves[:, known] @ seconds[known] / seconds[known].sum()
             for name, values in (("mean", means), ("peak", curves[:, top])):
                 found |= {f"{name}{end}": value for end, value in zip(ENDS, values, strict=True)}
@@ -149,14 +149,11 @@ class ContactForce:
 
         The errors of both are independent of each other, so that their logarithms' variances add up.
         """
-        middle, low, high = self.scene_ratio
-        if length is None or length.metres is None or not middle > 0:
+        if length is None or length.metres is None or self.ratio is None or not self.ratio.value > 0:
             return {}
-        half = math.hypot(math.log(high / low) / 2, NINETY * length.log_sd)
-        ends = {
-            end: 1000 * length.metres * middle * math.exp(side * half) for end, side in zip(ENDS, SIDES, strict=True)
-        }
-        return {f"force_over_stiffness_mm{end}": mm for end, mm in ends.items()} | {"metric_by": length.by}
+        mm = Quantity(1000 * length.metres * self.ratio.value, math.hypot(self.ratio.log_sd, length.log_sd))
+        found = {f"force_over_stiffness_mm{end}": mm.end(side) for end, side in ENDS.items()}
+        return found | {"metric_by": length.by}
 
 
 def forces_record(
@@ -184,11 +181,11 @@ def forces_record(
     return {"notice": notice, "contacts": records}
 
 
-def _pressed(run: InteractionEstimate, found: Estimate, since: np.ndarray, seconds: float) -> np.ndarray:
+def _pressed(run: InteractionEstimate, found: PressResult, since: np.ndarray, seconds: float) -> np.ndarray:
     """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
-    shape, (delay, release) = found.shape or PressShape(), (*found.delays, 0.0, 0.0)[:2]
-    last, contact = math.inf if found.by_light else seconds, run.interaction
-    seen = None if contact is None else contact.shading if found.by_light else contact.observation
+    shape, (delay, release) = found.course.shape or PressShape(), found.course.delays
+    last, contact = math.inf if found.light else seconds, run.interaction
+    seen = None if contact is None else contact.shading if found.light else contact.observation
     if seen is not None and len(seen.times):
         last = min(last, seen.times[-1])
     end = math.inf if run.load_s is None else run.load_s + release - shape.fall

@@ -3,9 +3,11 @@
 Numbers are text and integers have 32 bits: SOFA's MeshVTKLoader reads no others.
 """
 
+from __future__ import annotations
+
 import contextlib
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,14 +17,36 @@ import numpy as np
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.estimator import fitted_press
-from palpate.estimators.estimate import NINETY, Estimate, NoEstimate
-from palpate.estimators.online.particle_field import FieldEstimate
+from palpate.estimators.estimate import NoEstimate, PressResult
+from palpate.estimators.online.particle_field import FieldResult
 from palpate.estimators.records import InteractionEstimate
+from palpate.estimators.result import ENDS, Quantity
 from palpate.physics.mechanics import PARAMETERS, Mechanics
 from palpate.physics.msd.simulation import simulate
+from palpate.results.artefacts.base import Artefact
 
-ENDS = np.array([0.0, -1.0, 1.0])
-"""Value and both ends of its 90 % interval, in standard deviations over `NINETY`."""
+
+class Export(Artefact):
+    """scene_N_K.vtu of every contact N and its frames K."""
+
+    option = "export"
+
+    def open(self) -> None:
+        self._missing = 0
+
+    def contact(self, run: InteractionEstimate) -> None:
+        times = np.array([frame.time_s for frame in self.clip.estimates[run.onset :]]) - run.onset_time_s
+        try:
+            write_series(self.clip.partial, f"scene_{run.onset_frame}", deformation_of(run, times))
+        except NoEstimate:
+            self._missing += 1
+
+    def warnings(self) -> Iterator[str]:
+        if self._missing:
+            yield (
+                f"{self._missing} of {self.clip.counts.total()} runs of contact were not exported, as not all that "
+                "simulating them takes is known: see verdict in interactions.csv"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,31 +87,28 @@ def deformation_of(run: InteractionEstimate, times: np.ndarray) -> Deformation:
     return _press(found, contact, run.mechanics, times)
 
 
-def _press(found: Estimate, contact: Interaction, mechanics: Mechanics, times: np.ndarray) -> Deformation:
+def _press(found: PressResult, contact: Interaction, mechanics: Mechanics, times: np.ndarray) -> Deformation:
     mesh, press = contact.mesh, fitted_press(contact, found, mechanics.time_step, mechanics.steps)
     moved = simulate(found.theta, mesh, press, mechanics, watch=np.arange(len(mesh.vertices)), dtype=np.float64)
     steps = np.rint(times / mechanics.time_step).astype(int)
-    inside, numbers = (steps >= 0) & (steps <= len(moved)), found.numbers()
-    parameters = {name: np.array([numbers[f"{name}{end}"] for end in ("", "_low", "_high")]) for name in PARAMETERS}
+    inside, numbers = (steps >= 0) & (steps <= len(moved)), found.numbers
+    parameters = {name: np.array([getattr(numbers, name).end(side) for side in ENDS.values()]) for name in PARAMETERS}
     parameters |= {"force_direction": np.sign(found.theta[2]) * press.direction}
     moved = np.concatenate([np.zeros_like(moved[:1]), moved])[steps[inside]]
     return Deformation(mesh.vertices, mesh.triangles, moved, times[inside], parameters, {})
 
 
-def _field(found: FieldEstimate) -> Deformation:
+def _field(found: FieldResult) -> Deformation:
     if not found.explained:
         raise NoEstimate("The simulation of tissue under the instrument alone does not explain the motion.")
     last, session = found.last, found.driven.session
     rest, places = found.driven.surface.body.rest, np.stack(found.driven.past)
     moved = session.objective.stepped(session.fields, rest, places).positions[0, 1:] - rest
     fields: dict[str, np.ndarray] = {}
-    for name, values, log_sd, known in (
-        ("stiffness", session.fields.distance, last.distance_log_sd, last.known),
-        ("shape_stiffness", session.fields.shape, last.shape_log_sd, last.shape_known),
-    ):
+    for (name, one), values in zip(last.maps.items(), session.fields, strict=False):
         # VTK reads no infinite numbers.
-        spread = np.minimum(log_sd, 50.0)[:, None] * NINETY * ENDS
-        fields |= {name: np.asarray(values)[:, None] * np.exp(spread), f"{name}_known": known}
+        spread, name = Quantity(np.asarray(values), np.minimum(one.log_sd, 50.0)), name.removeprefix("distance_")
+        fields |= {name: np.stack([spread.end(side) for side in ENDS.values()], 1), f"{name}_known": one.known}
     solid = last.tetrahedra if len(last.tetrahedra) else None
     return Deformation(rest, last.faces, moved, found.times[-len(moved) :], {}, fields, solid)
 

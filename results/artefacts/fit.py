@@ -1,32 +1,54 @@
-"""The static picture of a clip, `fit.png`: every contact with its verdict, its numbers and its motion.
+"""fit.png: every contact of a clip with its verdict, its numbers and its motion.
 
 matplotlib is imported where something is drawn, so that a program starts, and may end, without it.
 """
 
 from __future__ import annotations
 
+import importlib
 import textwrap
 import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.estimators.estimate import NINETY, Estimate
-from palpate.estimators.grip.grip_estimate import GripEstimate
-from palpate.estimators.online.particle_field import FieldEstimate
 from palpate.estimators.records import InteractionEstimate
-from palpate.results.verdicts import COLORS, in_words, numbers, state
+from palpate.estimators.result import values_of
+from palpate.physics.identifiability import NINETY
+from palpate.results import store
+from palpate.results.artefacts.base import Artefact
+from palpate.results.verdicts import NOTES, in_words, numbers, state
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
 MOST_PANELS = 12
 """Number of contacts that are drawn."""
 OBSERVED, SIMULATED, RELEASE = "#4b5563", "#7c3aed", "#ea580c"
+
+
+class FitPicture(Artefact):
+    """Picture of contacts, those with a motion first."""
+
+    name = store.FIT
+
+    def open(self) -> None:
+        self.drawn: list[InteractionEstimate] = []
+        # What `finish` needs is loaded meanwhile: it takes most of a second.
+        Thread(target=importlib.import_module, args=("matplotlib.figure",)).start()
+
+    def contact(self, run: InteractionEstimate) -> None:
+        shown = [*self.drawn, run]
+        self.drawn = sorted(shown, key=lambda item: item.simulated is None and not item.verdict)[:MOST_PANELS]
+
+    def finish(self) -> None:
+        write_figure(self.path, draw_fits(self.drawn, self.clip.counts, self.clip.source.name))
 
 
 def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: str) -> Figure:
@@ -54,7 +76,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
         axes.set_title("\n".join(said), loc="left", fontsize=10.5)
         axes.annotate(
             heading, (0, 1), (0, 9 + 14.7 * len(said)), "axes fraction", "offset points", fontsize=13,
-            fontweight="bold", va="bottom", color=np.divide(COLORS[state(run)], 255), annotation_clip=False,
+            fontweight="bold", va="bottom", color=np.divide(NOTES[state(run)].color, 255), annotation_clip=False,
         )  # fmt: skip
         if _moves(run):
             _draw_motion(axes, run)
@@ -80,32 +102,31 @@ def write_figure(path: Path, figure: Figure) -> None:
 
 def _moves(run: InteractionEstimate) -> bool:
     """Whether a contact has a motion to draw."""
-    return isinstance(run.main_estimate, GripEstimate | FieldEstimate) or run.simulated is not None
+    return run.beside is not None or run.simulated is not None
 
 
 def _described(run: InteractionEstimate) -> tuple[str, list[str]]:
     """Heading of a contact, the verdict first and no number surer than it, and lines of what is said of it."""
-    found, heading = run.main_estimate, f"{in_words(state(run))}: contact from frame {run.onset_frame}"
-    explained = found.explanation if isinstance(found, Estimate) else ""
-    if isinstance(found, GripEstimate):
-        explained = f"Skill {found.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
-    if run.estimate is not None and found is run.estimate:
-        sure = "doubtful" if run.verdict == "determined" and run.detail else run.verdict
-        heading += ", " + ", ".join(" ".join(pair) for pair in numbers(sure, run.estimate.numbers()))
+    press, pull, explained = run.estimate, run.grip, ""
+    heading = f"{in_words(state(run))}: contact from frame {run.onset_frame}"
+    if pull is not None and run.beside is pull:
+        explained = f"Skill {pull.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
+    elif press is not None and run.beside is None:
+        sure, explained = "doubtful" if run.verdict == "determined" and run.detail else run.verdict, press.explanation
+        heading += ", " + ", ".join(" ".join(pair) for pair in numbers(sure, values_of(press.numbers)))
     return "\n".join(_lines(heading, 110)), _lines(f"{run.detail} {explained}".strip())
 
 
 def _draw_motion(axes: Axes, run: InteractionEstimate) -> None:
     """Draw the force of a pull, the motion of a field, or that of a press along its force, observed and simulated."""
-    found, contact, estimate = run.main_estimate, run.interaction, run.estimate
-    if isinstance(found, GripEstimate):
-        half = NINETY * found.force_sd
-        axes.fill_between(found.times, found.force - half, found.force + half, color=SIMULATED, alpha=0.25, lw=0)
-        axes.plot(found.times, found.force, "o-", color=SIMULATED, label="force along that of the last frame")
+    contact, estimate, pull, field = run.interaction, run.estimate, run.grip, run.field
+    if pull is not None and run.beside is pull:
+        axes.fill_between(pull.times, *pull.curves[1:], color=SIMULATED, alpha=0.25, lw=0)
+        axes.plot(pull.times, pull.force, "o-", color=SIMULATED, label="force along that of the last frame")
         axes.set_ylabel("force at the grip\nover the last one, 90 % interval")
-    elif isinstance(found, FieldEstimate):
+    elif field is not None:
         for index, (name, color) in enumerate({"observed": OBSERVED, "simulated": SIMULATED}.items()):
-            axes.plot(found.times, found.course[:, index], "o-", color=color, label=name)
+            axes.plot(field.times, field.course[:, index], "o-", color=color, label=name)
         axes.set_ylabel("motion of the tissue around\n(root mean square) [px]")
     elif contact is not None and estimate is not None and run.simulated is not None:
         sign, times = np.sign(estimate.theta[2]), contact.observation.times
@@ -113,7 +134,7 @@ def _draw_motion(axes: Axes, run: InteractionEstimate) -> None:
             half, name = NINETY * estimate.noise, "observed, 90 % interval of the noise"
             axes.errorbar(times, sign * contact.along, half, fmt="o", color=OBSERVED, label=name)
         axes.plot(run.simulated[0], sign * run.simulated[1], lw=2, color=SIMULATED, label="simulated with the fit")
-        release = contact.load_seconds + (*estimate.delays, 0.0, 0.0)[1]
+        release = contact.load_seconds + estimate.course.delays[1]
         if contact.released and release < times[-1]:
             axes.axvline(release, color=RELEASE, lw=1.5, ls="--", label=f"release, {release:.3f} s")
         axes.set_ylabel("displacement along the force\n[scene units (normalised)]")

@@ -12,10 +12,33 @@ import numpy as np
 
 from palpate.data.source.bags import WRENCHES
 from palpate.data.source.frames import FrameSource
-from palpate.results.forces import ENDS, RELATIVE
+from palpate.estimators.result import ENDS
+from palpate.results.artefacts.base import Artefact
+from palpate.results.artefacts.forces import RELATIVE
 from palpate.results.store import BAGS
 
 WRENCH = WRENCHES[0]
+
+
+class Ros2Bag(Artefact):
+    """forces.mcap."""
+
+    kind = "ros2"
+    name = BAGS[kind]
+
+    @classmethod
+    def wanted(cls, options, estimator) -> bool:
+        return options.bag == cls.kind
+
+    def finish(self) -> None:
+        write_bag(self.kind, self.clip.source, self.clip.partial, self.clip.report()["contacts"])
+
+
+class Ros1Bag(Ros2Bag):
+    """forces.bag."""
+
+    kind = "ros1"
+    name = BAGS[kind]
 
 
 def write_bag(kind: str, source: FrameSource, folder: Path, contacts: Sequence[Mapping[str, Any]]) -> None:

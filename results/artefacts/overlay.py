@@ -1,0 +1,44 @@
+"""overlay.mp4: the clip with what was found drawn on it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from palpate.data.source.video import Video
+from palpate.results import store
+from palpate.results.artefacts.base import Artefact
+from palpate.results.overlay import canvas_size, draw_overlay
+
+
+class Overlay(Artefact):
+    """Video whose pictures are drawn and coded in order in a thread of their own."""
+
+    name, option, pictures = store.OVERLAY, "overlay", True
+
+    def open(self) -> None:
+        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps)
+        self._drawer = ThreadPoolExecutor(1, "overlay")
+        self._drawing: deque[Future[None]] = deque()
+
+    def frame(self, estimate, image, labels) -> None:
+        self._wait(3)
+        self._drawing.append(self._drawer.submit(self._draw, estimate, image, labels))
+
+    def _draw(self, estimate, image, labels) -> None:
+        start = time.perf_counter()
+        self._video.write(draw_overlay(image, self.clip.size, labels, estimate))
+        self.clip.seconds["overlay"] += time.perf_counter() - start
+
+    def _wait(self, left: int) -> None:
+        """Wait until so few pictures are left to be drawn."""
+        while len(self._drawing) > left:
+            self._drawing.popleft().result()
+
+    def finish(self) -> None:
+        self._wait(0)
+
+    def close(self) -> None:
+        self._drawer.shutdown()
+        self._video.close()

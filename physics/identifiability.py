@@ -22,13 +22,28 @@ NOTHING = 1e-9
 Verdict = Literal["determined", "ratios", "undetermined"]
 
 
+def log_jacobian(jacobian: np.ndarray, theta: ArrayLike) -> np.ndarray:
+    """∂Φ/∂φ from ∂Φ/∂θ: φ = (log k_s, log k_d, log |F|) makes every column θ times as large, F's with its sign.
+
+    Args:
+        jacobian: shape [..., 3], the last axis θ's.
+        theta: [k_s, k_d, F], shape [3].
+    """
+    return jacobian * np.asarray(theta, jacobian.dtype)
+
+
 def fisher_information(jacobian: np.ndarray, noise: float) -> np.ndarray:
     """I = Σ (∂Φ/∂φ)ᵀ(∂Φ/∂φ)/σ², shape [3, 3], or [D, D] of any other parameters φ.
 
     Args:
         jacobian: ∂Φ/∂φ of everything that is observed, shape [..., D].
         noise: σ of every observed coordinate [scene units].
+
+    Raises:
+        ValueError: the noise is not positive.
     """
+    if not noise > 0:
+        raise ValueError(f"noise is {noise}; give a positive standard deviation.")
     rows = np.asarray(jacobian, np.float64).reshape(-1, jacobian.shape[-1])
     return rows.T @ rows / noise**2
 

@@ -102,9 +102,17 @@ class Likelihood(LeastSquares):
         if not (self.noise > 0).all():
             raise ValueError("noise of a seen point isn't a positive number; give a standard deviation above 0.")
 
+    def theta(self, logs: np.ndarray) -> np.ndarray:
+        """θ = [k_s, k_d, F] at φ, shape [3]."""
+        return theta_of(logs[:3])
+
+    def simulated(self, logs: np.ndarray) -> np.ndarray:
+        """Φ of every observed coordinate, shape [K] [scene units]."""
+        return self.residual(logs) * self.noise + self.observed
+
     def _linearise(self, logs: np.ndarray) -> Linearised:
         """Exact; without derivatives where the motion is so chaotic that rounding decides them."""
-        what = theta_of(logs[:3]), self.mesh, self.load, self.mechanics
+        what = self.theta(logs), self.mesh, self.load, self.mechanics
         path, slopes = simulate_tangent(*what, watch=self.observation.vertices, dtype=self.dtype)
         simulated, slopes = (np.moveaxis(values[self.steps], 1, 0)[self.seen] for values in (path, slopes))
         return Linearised((simulated - self.observed) / self.noise, slopes / self.noise[:, None])

@@ -121,6 +121,10 @@ class Grip:
         """T."""
         return len(self.displacement)
 
+    def until(self, steps: int) -> Grip:
+        """The same over its first steps."""
+        return replace(self, displacement=self.displacement[:steps])
+
 
 Load = Press | Grip
 

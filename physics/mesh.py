@@ -52,9 +52,16 @@ def grid_mesh(
         keep: share of the pixels that are kept as vertices, in (0, 1]; the paper's decimation is 0.3.
         alternating: every other cell is split along its other diagonal, where all pixels are kept: no direction is then
             stiffer than the one across it.
+
+    Raises:
+        ValueError: shapes that don't fit.
     """
     points = np.asarray(points, dtype=np.float32)
     valid = np.asarray(valid, dtype=bool)
+    if points.ndim != 3 or points.shape[2] != 3 or valid.shape != points.shape[:2]:
+        raise ValueError(f"points have shape {points.shape} and valid {valid.shape}; give [H, W, 3] and [H, W].")
+    if occluder is not None and np.shape(occluder) != valid.shape:
+        raise ValueError(f"occluder has shape {np.shape(occluder)}; give the grid's shape {valid.shape}.")
     valid = valid & np.isfinite(points).all(axis=2)
     triangles = _grid_triangles(valid, alternating) if keep == 1 else _decimated_triangles(valid, keep)
     corners = points.reshape(-1, 3)[triangles]
@@ -68,7 +75,12 @@ def nearest_vertex(mesh: Mesh, point: np.ndarray) -> int:
     Args:
         mesh: a mesh of at least one vertex.
         point: position, shape [3] [scene units].
+
+    Raises:
+        ValueError: the mesh is empty.
     """
+    if len(mesh.vertices) == 0:
+        raise ValueError("the mesh has no vertices; a contact needs tissue with valid depth.")
     return int(np.argmin(np.square(mesh.vertices - np.asarray(point)).sum(axis=1)))
 
 

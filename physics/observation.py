@@ -22,8 +22,8 @@ class Observation:
     displacement: np.ndarray
     """From rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not observed."""
     noise: np.ndarray
-    """Standard deviation by axis of the camera, shape [3] [scene units]: across the line of sight it may be far smaller
-    than along it. Not a number where it isn't known."""
+    """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]: across
+    the line of sight it may be far smaller than along it. Not a number where it isn't known."""
 
     def __post_init__(self) -> None:
         expected = (len(self.vertices), len(self.times), 3)
@@ -31,6 +31,11 @@ class Observation:
             raise ValueError(f"displacement has shape {np.shape(self.displacement)}; give {expected}.")
         if not np.isfinite(self.times).all():
             raise ValueError("times holds a number that is not finite; leave out instants without a time.")
+        try:
+            np.broadcast_to(self.noise, expected)
+        except ValueError:
+            shape = np.shape(self.noise)
+            raise ValueError(f"noise has shape {shape}; give [3] or one that broadcasts to {expected}.") from None
 
     @classmethod
     def of_point(cls, vertex: int, times: np.ndarray, displacement: np.ndarray, noise: float) -> Observation:
@@ -44,8 +49,9 @@ class Observation:
 
     @property
     def depth_noise(self) -> float:
-        """Standard deviation along the camera's axis [scene units]."""
-        return float(self.noise[2])
+        """Standard deviation along the camera's axis, root mean square over points and instants [scene units]."""
+        by_axis = np.broadcast_to(self.noise, np.broadcast_shapes(np.shape(self.noise), (3,))).astype(np.float64)
+        return float(np.sqrt(np.square(by_axis[..., 2]).mean()))
 
     def steps(self, time_step: float) -> np.ndarray:
         """Index into a trajectory with this time step [s] that each instant is nearest to, shape [N], int64."""
@@ -53,7 +59,10 @@ class Observation:
 
     def chosen(self, instants: np.ndarray) -> Observation:
         """The same at some of its instants: a mask [N] or indices."""
-        return replace(self, times=self.times[instants], displacement=self.displacement[:, instants])
+        noise = self.noise
+        if np.ndim(noise) >= 2 and np.shape(noise)[-2] == len(self.times):
+            noise = noise[..., instants, :]
+        return replace(self, times=self.times[instants], displacement=self.displacement[:, instants], noise=noise)
 
     def moved(self, displacement: np.ndarray, noise: float) -> Observation:
         """The same instants with other displacements, of shape [M, N, 3] or [N, 3], and another noise on every axis."""

@@ -38,13 +38,23 @@ def equilibrium(
 
     Args:
         springs: node indices, shape [S, 2].
-        stiffness: of every spring, shape [S], positive: without any a node has no place.
+        stiffness: of every spring, shape [S], positive.
         anchor: stiffness of every node's foundation, shape [N], positive.
         gripped: which nodes are held, shape [N], bool; some but not all.
         motion: their displacement, shape [G, A], finite.
+
+    Raises:
+        ValueError: nothing is gripped or everything; stiffness that is not positive; motion that is not finite.
     """
+    count = len(anchor)
+    if not gripped.any() or gripped.all():
+        raise ValueError(f"{int(gripped.sum())} of {count} nodes are gripped; hold some of them and leave some free.")
+    if not ((stiffness > 0).all() and (anchor > 0).all()):
+        raise ValueError("a stiffness is not positive; without any a node has no place.")
+    if not np.isfinite(motion).all():
+        raise ValueError("motion of the grip holds a number that is not finite.")
     matrix = laplacian(springs, stiffness, anchor)
-    displacement = np.zeros((len(anchor), motion.shape[1]))
+    displacement = np.zeros((count, motion.shape[1]))
     displacement[gripped] = motion
     free = matrix[~gripped]
     # Symmetric and positive: no pivoting, and an ordering that keeps the symmetry.

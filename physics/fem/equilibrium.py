@@ -149,15 +149,22 @@ def find_equilibrium(
             nothing else.
 
     Raises:
-        ValueError: nothing is held.
+        ValueError: shapes that don't fit, numbers that are not finite, nothing held.
         NoEquilibrium: none found, even with steps 2⁶ times smaller.
     """
     shape = solid.rest.shape
     motion = np.zeros(shape) if motion is None else np.asarray(motion, np.float64)
     forces = np.zeros(shape) if forces is None else np.asarray(forces, np.float64)
     begun = np.zeros(shape) if start is None else np.asarray(start, np.float64)
+    for name, values in (("held", held), ("motion", motion), ("forces", forces), ("start", begun)):
+        if np.shape(values) != shape:
+            raise ValueError(f"{name} has shape {np.shape(values)}; give one row of three a node, {shape}.")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds a number that is not finite.")
     if not held.any():
         raise ValueError("nothing is held, so nothing keeps the body in place; hold some nodes.")
+    if np.size(material.young) not in (1, len(solid.elements)):
+        raise ValueError(f"there are {np.size(material.young)} Young's moduli; give one, or {len(solid.elements)}.")
     none = Energy(solid, material, np.zeros(shape))
     resting = -none.out_of_balance(none.response(begun), begun)[0]
     displacement, iterations = begun, 0

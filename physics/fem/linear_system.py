@@ -8,6 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 
+DIRECT = 10_000
+"""Unknowns up to which the matrix is factorised at once: filling-in grows with their square, iterations don't."""
 _CLOSE, _LARGE = 12, 800
 """Iterations with the factors of a matrix close by, above which this one's own are cheaper; one for so many unknowns,
 where that is more: factors of 37,500 to 62,000 take as long as 90 to 250 iterations."""
@@ -50,9 +52,7 @@ class LinearSystem:
                 most = max(_CLOSE, len(right) // _LARGE)
                 found = self._all_iterated(columns, tolerance, borrowed, most)
             # Where factors of such a matrix were to be had, its own are too.
-            # Unknowns up to which the matrix is factorised at once: filling-in grows with their square, iterations
-            # don't.
-            if found is None and self.borrowed is None and len(right) > 10_000 and self._diagonal is not None:
+            if found is None and self.borrowed is None and len(right) > DIRECT and self._diagonal is not None:
                 found = self._all_iterated(columns, tolerance, self._diagonal, 3000)
             if found is not None:
                 return found.reshape(right.shape)

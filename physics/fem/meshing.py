@@ -166,8 +166,9 @@ def mesh_surface(
             curved elements (`physics.fem.curved`) isn't. None = some may lie off it by a tenth of a cell.
 
     Raises:
-        NoBody: no area, nothing enclosed, a floor above all of it.
+        NoBody: shapes that don't fit, no area, nothing enclosed, a floor above all of it.
     """
+    vertices, triangles = _checked(vertices, triangles)
     corners = vertices[triangles]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     spacing = float((high - low).max()) / cells
@@ -201,6 +202,17 @@ def _largest_part(inside: np.ndarray) -> np.ndarray:
     if count < 2:
         return inside
     return parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
+
+
+def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    vertices, triangles = np.asarray(vertices, np.float64), np.asarray(triangles)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise NoBody(f"vertices of shape {vertices.shape} are no finite places; give [V, 3] in metres.")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles) or triangles.dtype.kind not in "iu":
+        raise NoBody(f"triangles of shape {triangles.shape} are none; give [F, 3] indices of vertices.")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise NoBody(f"triangles name vertices {triangles.min()} to {triangles.max()} of {len(vertices)}; give others.")
+    return vertices, triangles.astype(np.int64)
 
 
 def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,6 +14,8 @@ EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners between which nodes 4 … 9 of a quadratic tetrahedron lie."""
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 """Corners of a tetrahedron's faces, anticlockwise seen from outside."""
+_FLAT = 1e-9
+"""Six volumes over the longest edge's cube, below which an element counts as flat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +124,19 @@ def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> 
         order: of the shape functions, 1 or 2; 2 adds nodes in the middle of the edges, after those given.
 
     Raises:
-        ValueError: an element that is inverted or flat.
+        ValueError: another order; indices that don't fit; an element that is inverted or flat.
     """
     nodes, tetrahedra = np.asarray(nodes, np.float64), np.asarray(tetrahedra, np.int64)
+    if order not in (1, 2):
+        raise ValueError(f"order is {order}; give 1 (linear) or 2 (quadratic).")
+    if nodes.ndim != 2 or nodes.shape[1] != 3 or not np.isfinite(nodes).all():
+        raise ValueError(f"nodes have shape {nodes.shape}; give finite places of shape [N, 3].")
+    if tetrahedra.ndim != 2 or tetrahedra.shape[1] != 4 or not len(tetrahedra):
+        raise ValueError(f"tetrahedra have shape {tetrahedra.shape}; give indices of shape [E, 4], one at least.")
+    if tetrahedra.min() < 0 or tetrahedra.max() >= len(nodes):
+        raise ValueError(f"tetrahedra name nodes {tetrahedra.min()} to {tetrahedra.max()} of {len(nodes)}.")
     quality = qualities(nodes, tetrahedra)
-    # Six volumes over the longest edge's cube, below which an element counts as flat.
-    bad = np.flatnonzero(quality < 1e-9)
+    bad = np.flatnonzero(quality < _FLAT)
     if len(bad):
         raise ValueError(
             f"{len(bad)} of {len(tetrahedra)} tetrahedra are inverted or flat, number {bad[0]} first; mesh anew."

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palpate.physics.identifiability import log_jacobian
 from palpate.physics.load import Load, Press
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
@@ -66,7 +67,7 @@ def simulate_tangent(theta: ArrayLike, mesh: Mesh, load: Load, mechanics: Mechan
     They are 0 where the motion is so chaotic that rounding decides them.
     """
     path, slopes = simulate_sensitivities(theta, mesh, load, mechanics, **how)
-    slopes = slopes * np.asarray(theta, slopes.dtype)  # F's with its sign
+    slopes = log_jacobian(slopes, theta)
     return path, np.zeros_like(slopes) if is_chaotic(path, slopes) else slopes
 
 

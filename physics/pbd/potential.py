@@ -20,6 +20,9 @@ class Potential:
 
     def __post_init__(self) -> None:
         """Begin at rotations of rest."""
+        expected = self.body.layout.rest.shape
+        if self.stiffness.shape != expected:
+            raise ValueError(f"stiffness has shape {self.stiffness.shape}; give one number a constraint, {expected}.")
         self._turn = unturned(self.body, 1)[0]
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray]:

@@ -23,8 +23,21 @@ class Stiffness(NamedTuple):
 
 
 def spread(body: Body, fields: Stiffness) -> np.ndarray:
-    """k of every constraint: the mean over its particles, shape [B, K], B = 1 for fields without that axis."""
+    """k of every constraint: the mean over its particles, shape [B, K], B = 1 for fields without that axis.
+
+    Raises:
+        ValueError: shapes that don't fit, numbers that are negative or not finite.
+    """
     distance, shape = (np.atleast_2d(np.asarray(field, np.float64)) for field in fields[:2])
+    for name, field in (("distance", distance), ("shape", shape)):
+        if field.ndim != 2 or field.shape[1] != body.count:
+            raise ValueError(f"stiffness of {name} has shape {field.shape}; give one number a particle, {body.count}.")
+        if not (np.isfinite(field).all() and (field >= 0).all()):
+            raise ValueError(f"stiffness of {name} holds a number that is negative or not finite.")
+    if len(distance) != len(shape):
+        raise ValueError(f"there are {len(distance)} fields of distance and {len(shape)} of shape; give as many.")
+    if not (np.isfinite(fields.volume) and np.ndim(fields.volume) == 0 and fields.volume >= 0):
+        raise ValueError(f"stiffness of volume is {fields.volume}; give one number, 0 or more.")
     found = np.empty((len(distance), len(body.layout.rest)))
     distances, volumes, shapes = body.kinds
     found[:, distances] = (body.averages[distances] @ distance.T).T

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,6 +33,12 @@ def test_information_of_a_jacobian_by_hand() -> None:
     np.testing.assert_allclose(fisher.bounds(100 * by_hand), 0.1 * fisher.bounds(by_hand), rtol=1e-12)
 
 
+@pytest.mark.parametrize("noise", [0.0, -1.0, math.nan])
+def test_noise_must_be_positive(noise: float) -> None:
+    with pytest.raises(ValueError, match="give a positive standard deviation"):
+        fisher.fisher_information(np.ones((1, 3)), noise)
+
+
 def test_bounds_are_the_spread_of_least_squares() -> None:
     """y = Jφ + noise: the spread of 20,000 fits is I⁻¹, within its own sampling error of 1/√40,000 = 0.5 %."""
     generator = np.random.default_rng(0)
@@ -59,7 +66,7 @@ def test_a_box_counts_as_the_normal_distribution_of_its_variance() -> None:
 def test_log_jacobian_is_the_derivative_by_the_logarithms() -> None:
     """Central differences of float64 rollouts; their error is (1e-4)²/6 times the third derivative."""
     path, slopes = simulate_sensitivities(THETA, MESH, PRESS, MECHANICS, dtype=np.float64)
-    exact = slopes * THETA
+    exact = fisher.log_jacobian(slopes, THETA)
 
     def at(logs: np.ndarray) -> np.ndarray:
         theta = np.sign(THETA) * np.exp(logs)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.physics import Likelihood, Mechanics, Observation, Press, contact_normal, ramped
+from palpate.physics.identifiability import log_jacobian
 from palpate.physics.mechanics import theta_of
 from palpate.physics.msd.simulation import simulate, simulate_sensitivities
 from tests.physics.sheets import loose, pressed, sheet
@@ -29,9 +30,9 @@ def observed(logs=LOGS, noise=NOISE, points=POINTS, off=0.0) -> Observation:
 def test_at_the_truth_nothing_is_left_and_information_is_that_of_the_jacobian():
     logs, likelihood = LOGS, Likelihood(MESH, PRESS, observed(), MECHANICS)
     around = likelihood.linearise(logs)
-    theta = theta_of(logs)
+    theta = likelihood.theta(logs)
     _, slopes = simulate_sensitivities(theta, MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)
-    slopes = np.swapaxes((slopes * theta)[STEPS], 0, 1)
+    slopes = np.swapaxes(log_jacobian(slopes, theta)[STEPS], 0, 1)
     rows = (slopes / NOISE[:, None]).reshape(36, len(logs))
     np.testing.assert_allclose(around.residual, 0, atol=1e-4)  # single precision of what was observed
     np.testing.assert_allclose(around.jacobian, rows, rtol=1e-9, atol=1e-9 * np.abs(rows).max())
@@ -68,8 +69,7 @@ def test_what_was_not_seen_does_not_count():
     np.testing.assert_allclose(around.residual, full.residual[kept.ravel()] / scale, rtol=1e-12)
     np.testing.assert_allclose(around.jacobian, full.jacobian[kept.ravel()] / scale[:, None], rtol=1e-12)
     path = simulate(theta_of(LOGS + 0.05), MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)[STEPS]
-    simulated = around.residual * likelihood.noise + likelihood.observed
-    np.testing.assert_allclose(simulated, np.swapaxes(path, 0, 1)[kept], rtol=1e-9)
+    np.testing.assert_allclose(likelihood.simulated(LOGS + 0.05), np.swapaxes(path, 0, 1)[kept], rtol=1e-9)
     nothing = Observation(POINTS, TIMES, np.full_like(hidden, np.nan), NOISE)
     assert not Likelihood(MESH, PRESS, nothing, MECHANICS).information(LOGS).any()
 

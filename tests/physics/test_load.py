@@ -37,6 +37,7 @@ def test_a_press_on_one_vertex_carries_all_of_the_force_and_a_grip_moves_all_of_
     path = np.arange(30.0).reshape(5, 2, 3)
     load = grip(displacement=path)
     assert (load.vertex, load.steps) == (3, 5)
+    np.testing.assert_array_equal(load.until(2).displacement, path[:2])
 
 
 def test_held_loads_share_their_last_step_and_ramps_count_with_their_mean_over_each():

@@ -130,6 +130,8 @@ def test_too_few_pixels_give_an_empty_mesh(pixels, keep):
     assert mesh.springs.shape == (0, 2)
     assert mesh.triangles.shape == (0, 3)
     assert mesh.rim.shape == (0,)
+    with pytest.raises(ValueError, match="no vertices"):
+        nearest_vertex(mesh, np.zeros(3))
 
 
 def test_three_pixels_give_one_triangle():
@@ -151,6 +153,13 @@ def test_invalid_depth_is_left_out():
 def test_nearest_vertex():
     mesh = grid_mesh(plane(5, 5), np.ones((5, 5), dtype=bool))
     assert nearest_vertex(mesh, mesh.vertices[13] + [0.001, -0.002, 0.0]) == 13
+
+
+def test_bad_arguments_are_named():
+    with pytest.raises(ValueError, match=r"\(4, 5, 2\)"):
+        grid_mesh(np.zeros((4, 5, 2)), np.ones((4, 5), dtype=bool))
+    with pytest.raises(ValueError, match="occluder"):
+        grid_mesh(plane(4, 5), np.ones((4, 5), dtype=bool), occluder=np.zeros((2, 2), dtype=bool))
 
 
 @settings(max_examples=60, deadline=None)

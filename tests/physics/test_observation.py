@@ -29,14 +29,17 @@ def test_instants_belong_to_the_nearest_step():
     np.testing.assert_array_equal(observation(times=np.array([0.0024, 0.0026, 0.0075])).steps(0.005), [-1, 0, 1])
 
 
-def test_chosen_instants_keep_their_noise():
-    seen = observation()
+@pytest.mark.parametrize("shape", [(), (3,), (3, 1), (3, 3), (2, 1, 1), (2, 3, 3)])
+def test_chosen_instants_keep_their_noise(shape):
+    noise = 1e-3 * (1 + np.arange(np.prod(shape, dtype=int)).reshape(shape))
+    seen = observation(noise)
     for instants in (np.array([True, False, True]), np.array([0, 2])):
         chosen = seen.chosen(instants)
         np.testing.assert_array_equal(chosen.times, [0.1, 0.4])
         np.testing.assert_array_equal(chosen.displacement, seen.displacement[:, [0, 2]])
-        np.testing.assert_array_equal(chosen.noise, seen.noise)
-    assert seen.depth_noise == 1e-2
+        whole = np.broadcast_to(noise, (2, 3, 3))
+        np.testing.assert_array_equal(np.broadcast_to(chosen.noise, (2, 2, 3)), whole[:, [0, 2]])
+    assert seen.depth_noise == pytest.approx(np.sqrt(np.square(np.broadcast_to(noise, (2, 3, 3))[..., 2]).mean()))
 
 
 @pytest.mark.parametrize(
@@ -47,6 +50,8 @@ def test_chosen_instants_keep_their_noise():
             r"displacement has shape \(2, 2, 3\); give \(2, 3, 3\)",
         ),
         (lambda: observation(displacement=np.zeros((3, 3))), "displacement has shape"),
+        (lambda: observation(noise=np.ones(4)), r"noise has shape \(4,\); give \[3\]"),
+        (lambda: observation(noise=np.ones((5, 2, 3, 3))), r"noise has shape \(5, 2, 3, 3\)"),
         (lambda: observation(times=np.array([0.1, np.nan, 0.3])), "times holds a number that is not finite"),
     ],
 )

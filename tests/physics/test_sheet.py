@@ -1,6 +1,7 @@
 """The gripped sheet at rest against closed forms and a dense solve."""
 
 import numpy as np
+import pytest
 
 from palpate.physics.sheet import equilibrium
 
@@ -59,3 +60,24 @@ def test_a_dense_solve_gives_the_same() -> None:
     expected[free] = np.linalg.solve(matrix[np.ix_(free, free)], -matrix[np.ix_(free, gripped)] @ motion)
     np.testing.assert_allclose(found.displacement, expected, rtol=1e-11, atol=1e-13)
     np.testing.assert_allclose(found.reaction, (matrix @ expected)[gripped], rtol=1e-10)
+
+
+@pytest.mark.parametrize(("held", "told"), [(0, "0 of 5 nodes are gripped"), (5, "5 of 5 nodes are gripped")])
+def test_some_nodes_must_be_held_and_some_free(held: int, told: str) -> None:
+    with pytest.raises(ValueError, match=f"{told}; hold some of them and leave some free"):
+        equilibrium(chain(5), np.ones(4), np.ones(5), np.arange(5) < held, np.ones((held, 2)))
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan])
+@pytest.mark.parametrize("of", ["stiffness", "anchor"])
+def test_stiffness_is_positive(wrong: float, of: str) -> None:
+    values = {"stiffness": np.ones(4), "anchor": np.ones(5)}
+    values[of][2] = wrong
+    with pytest.raises(ValueError, match="a stiffness is not positive; without any a node has no place"):
+        equilibrium(chain(5), **values, gripped=ends(5), motion=np.ones((2, 2)))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_the_grip_moves_by_numbers(wrong: float) -> None:
+    with pytest.raises(ValueError, match="motion of the grip holds a number that is not finite"):
+        equilibrium(chain(5), np.ones(4), np.ones(5), ends(5), np.array([[0.0, 1.0], [wrong, 0.0]]))

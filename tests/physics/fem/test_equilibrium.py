@@ -1,5 +1,7 @@
 """Rest under loads against closed forms, and all derivatives against finite differences."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import skfem
@@ -210,8 +212,14 @@ def test_factors_of_a_state_close_by_save_a_factorisation(monkeypatch: pytest.Mo
 def test_what_has_no_answer_is_refused() -> None:
     body, material = block(1), Material("neo_hookean", 10.0, 0.3)
     held = clamped(body)
-    with pytest.raises(ValueError, match="nothing is held"):
-        find_equilibrium(body, material, np.zeros_like(held))
+    for changed, said in (
+        ({"held": np.zeros_like(held)}, "nothing is held"),
+        ({"forces": np.ones(3)}, "forces has shape"),
+        ({"motion": np.full(held.shape, np.nan)}, "motion holds"),
+        ({"material": dataclasses.replace(material, young=np.ones(2))}, "2 Young's moduli"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            find_equilibrium(**({"solid": body, "material": material, "held": held} | changed))
     motion = np.zeros_like(body.rest)
     motion[:, 0] = np.where(np.isclose(body.rest[:, 0], 1), -1.5, 0)  # through the other end
     with pytest.raises(NoEquilibrium):

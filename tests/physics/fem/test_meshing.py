@@ -151,7 +151,10 @@ def test_spheres_that_touch_and_what_hangs_apart() -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
+        ({"vertices": np.full((300, 3), np.nan)}, "no finite places"),
+        ({"triangles": np.array([[0, 1, 999]])}, "name vertices 0 to 999"),
         ({"triangles": np.zeros((4, 3), int)}, "no triangle with an area"),
+        ({"triangles": np.zeros((0, 3), int)}, "are none"),
     ],
 )
 def test_bad_inputs_get_a_sentence(changed: dict, said: str) -> None:

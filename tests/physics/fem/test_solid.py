@@ -62,8 +62,13 @@ def test_bad_meshes_are_refused() -> None:
     for mesh, said in (
         ((nodes, inverted), "1 of 5 tetrahedra are inverted or flat, number 2 first"),
         ((flat, tetrahedra), "5 of 5"),
+        ((nodes, tetrahedra + 1), "of 8"),
+        ((nodes[:, :2], tetrahedra), "nodes have shape"),
+        ((nodes, tetrahedra[:, :3]), "tetrahedra have shape"),
     ):
         with pytest.raises(ValueError, match=said):
             make_solid(*mesh)
+    with pytest.raises(ValueError, match="order is 3"):
+        make_solid(nodes, tetrahedra, order=3)
     regular = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1.0]])
     assert qualities(regular, np.array([[0, 1, 2, 3]]))[0] == pytest.approx(np.sqrt(0.5))

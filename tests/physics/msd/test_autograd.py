@@ -116,10 +116,14 @@ def test_nan_parameters_are_not_hidden():
 def test_what_is_elsewhere_or_names_no_vertex_is_refused():
     mesh, load = batch_of([sheet(6, 6)], [14])
     theta = torch.tensor(THETA[:1])
+    with pytest.raises(ValueError, match="computes on the CPU; move theta there"):
+        rollout(theta.to("meta"), mesh, load)
     with pytest.raises(ValueError, match="names vertex 36; the mesh has 36"):
         rollout(theta, mesh, [dataclasses.replace(load[0], vertices=np.array([36]))])
     with pytest.raises(ValueError, match="watch names vertex -1; the mesh has 36"):
         rollout(theta, mesh, load, watch=torch.tensor([[3, -1]]))
+    with pytest.raises(ValueError, match=r"watch has shape \(2,\); give \[1, M\]"):
+        rollout(theta, mesh, load, watch=torch.tensor([3, 4]))
 
 
 def test_one_thread_needs_no_pool(threads):

@@ -105,7 +105,15 @@ def test_half_precision_is_computed_in_single():
     assert rollout(torch.tensor([[0.5, 0.1, -0.1]], dtype=torch.float16), mesh, load).dtype == torch.float32
 
 
-def test_a_load_outside_the_mesh_is_named():
-    load = batch_of([sheet(6, 6)], [14])[1]
+def test_shapes_that_do_not_belong_together_are_named():
+    mesh, load = batch_of([sheet(6, 6)], [14])
+    with pytest.raises(ValueError, match=r"theta has shape \(2, 3\); give \(1, 3\) for 1 meshes"):
+        rollout(torch.zeros(2, 3), mesh, load)
+    with pytest.raises(ValueError, match="0 meshes have 0 loads; give a load for each mesh, one at least"):
+        rollout(torch.zeros(0, 3), [], [])
+    with pytest.raises(ValueError, match="1 meshes have 2 loads"):
+        rollout(torch.zeros(1, 3), mesh, load * 2)
     with pytest.raises(ValueError, match="names vertex 14; the mesh has 0"):
         rollout(torch.zeros(1, 3), [hand_mesh([], [])], load)
+    with pytest.raises(ValueError, match=r"loads have \[100, 200\] steps; give all the same number"):
+        rollout(torch.zeros(2, 3), mesh * 2, [load[0], load[0].until(100)])

@@ -48,3 +48,8 @@ def test_a_rotation_is_found_from_wherever_it_begins():
     expected = energy.slope(points)[0]
     for seed in range(20):
         assert energy.slope(points @ rotation(seed).T)[0] == pytest.approx(expected, rel=1e-10)
+
+
+def test_stiffness_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match="stiffness has shape"):
+        Potential(BODIES["sheet"], np.ones(3))

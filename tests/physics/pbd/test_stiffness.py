@@ -1,9 +1,10 @@
 """Fields over particles, spread over constraints and gathered again."""
 
 import numpy as np
+import pytest
 
 from palpate.physics.pbd.stiffness import Stiffness, gather, spread
-from tests.physics.pbd.particles import block
+from tests.physics.pbd.particles import block, sheet
 
 BODY = block((2, 1, 1))
 
@@ -28,3 +29,14 @@ def test_gathering_is_the_transpose_of_spreading():
     paired = (back.distance * fields.distance).sum(axis=1) + (back.shape * fields.shape).sum(axis=1)
     paired += back.volume * fields.volume
     np.testing.assert_allclose(paired, (slopes * spread(BODY, fields)).sum(axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("fields", "sentence"), [
+    (Stiffness(np.ones(5), np.ones(12)), "stiffness of distance has shape"),
+    (Stiffness(np.ones(12), -np.ones(12)), "stiffness of shape holds a number that is negative"),
+    (Stiffness(np.ones((2, 12)), np.ones(12)), "there are 2 fields of distance and 1 of shape"),
+    (Stiffness(np.ones(12), np.ones(12), np.nan), "stiffness of volume is nan"),
+])  # fmt: skip
+def test_bad_fields_are_said(fields, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        spread(sheet(3, 4), fields)

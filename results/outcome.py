@@ -101,7 +101,7 @@ def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
     """Print what was estimated and how the clips went, write the batch's page and its clips', and say where."""
     estimates = [(plain(outcome.name), *map(plain, line)) for outcome in outcomes for line in outcome.contacts]
     if estimates:
-        title = "Estimates (± is half the 90 % interval; units: scene units)"
+        title = "Estimates (± is the 90 % interval; units: scene units)"
         _print(title, ("clip", "contact", "frame", "estimate", "verdict"), estimates)
     # A line a status: a column each would leave no room for the rest on a narrow terminal.
     counts = ["\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items()) for outcome in outcomes]

@@ -59,7 +59,17 @@ def test_a_stroke_outlines_an_instrument_through_the_clip(clip: Path, tmp_path: 
         assert browser.value("Object.keys(shown).length") == len(PATH)
         found = outlined(clip, saved)
         assert min(found) > 0.75
-        # Corners by hand in a later frame count from there on.
+        # What finds nothing, or is taken back, leaves no frame without instruments behind.
+        browser.value("go(5)")
+        browser.drag((corner[0] - 30, corner[1] + 5), (corner[0] - 20, corner[1] + 5), (corner[0] - 10, corner[1] + 5))
+        browser.wait("said.textContent.includes('nothing found')")
+        (u, v), _ = PATH[5]
+        browser.drag((corner[0] + share * (u - 20), corner[1] + share * v))
+        assert browser.value("active") == 0
+        browser.press("#none")
+        browser.press("#undo")
+        assert browser.value("Object.keys(keys)") == ["0"]
+        # None in view counts from its frame on.
         browser.value(f"go({len(PATH) - 1})")
         browser.press("#none")
         browser.press("#follow")
@@ -83,7 +93,7 @@ def test_only_who_knows_the_address_is_answered_and_wrong_requests_are_refused(c
             with pytest.raises(HTTPError, match="404"):
                 asked(f"http://{host}/{path}")
         for name, body in (
-            ("cut", {"place": 10**6, "strokes": []}),
+            ("cut", {"place": 10**6, "strokes": [], "begin": []}),
             ("follow", {"outlines": {"0": [[[1, 2]]]}}),
             ("x", {}),
         ):
@@ -97,6 +107,8 @@ def test_saved_outlines_go_on(clip: Path, tmp_path: Path) -> None:
     saved.write_text("3: [[[10, 10], [60, 10], [60, 60]]]")
     with OutlinePage(clip, saved) as page:
         assert page.session.state()["outlines"] == {3: [[[10, 10], [60, 10], [60, 60]]]}
+    with pytest.raises(InputError, match="can't be written"):
+        OutlinePage(clip, tmp_path / "none" / "o.yaml")
 
 
 def test_what_can_not_be_outlined_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], clip: Path) -> None:

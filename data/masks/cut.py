@@ -34,12 +34,15 @@ class InstrumentCut:
     def __init__(self) -> None:
         self._masks = AutomaticMasks(threads=1)
 
-    def outlines(self, picture: np.ndarray, strokes: Sequence[Stroke]) -> list[np.ndarray]:
+    def outlines(
+        self, picture: np.ndarray, strokes: Sequence[Stroke], begin: Sequence[np.ndarray] = ()
+    ) -> list[np.ndarray]:
         """Polygons [K, 2] (column, row) [px] of an instrument's visible parts; none where no stroke is on it.
 
         Args:
             picture: RGB uint8 [H, W, 3].
             strokes: at least one over the instrument; later ones count more.
+            begin: polygons that are taken for the instrument where no stroke says otherwise.
         """
         share = WORKING_SIZE / max(picture.shape[:2])
         size = max(round(picture.shape[1] * share), 16), max(round(picture.shape[0] * share), 16)
@@ -47,6 +50,8 @@ class InstrumentCut:
         ends = ((np.vstack([each.points, each.points[-1:]]), each.instrument) for each in strokes)  # a click is a dot
         lines = [(np.rint(points * share).astype(np.int32)[:, None], instrument) for points, instrument in ends]
         on, guess = np.zeros((2, *size[::-1]), np.uint8)
+        for polygon in begin:
+            cv2.fillPoly(guess, [np.rint(polygon * share).astype(np.int32)], 1)
         for line, instrument in lines:
             cv2.polylines(on, [line], False, int(instrument), PEN)
             cv2.polylines(guess, [line], False, int(instrument), AROUND)

@@ -1,6 +1,7 @@
 """A session in which a person outlines instruments: a clip's frames, cuts by strokes, and what follows from them."""
 
 import itertools
+import os
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,16 +34,20 @@ class OutlineSession:
         output: YAML file that `--masks` reads; outlines that it holds are shown and go on.
 
     Raises:
-        InputError: the clip or the file can't be used.
+        InputError: the clip or the file can't be used, or the file couldn't be written.
     """
 
     def __init__(self, clip: Path, output: Path) -> None:
         self._source, self.output = open_source(clip, ClipLayout()), output
+        if not os.access(output.absolute().parent, os.W_OK):
+            raise InputError(f"{output} can't be written; give a file in a folder that exists and is yours.")
         self._outlines = dict(read_outlines(output)) if output.exists() else {}
         self._cut, self._busy, self._followed = InstrumentCut(), threading.Lock(), 0
         self._frames: list[Frame] = []
         """Read so far, without their pictures, which lie in `_folder`."""
         self._problem, self._closed = "", False
+        self._found: dict[str, Any] = {"shown": {}, "lost": {}}
+        """What following has found last."""
         self._folder = TemporaryDirectory(prefix="palpate-outline-")
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -75,18 +80,20 @@ class OutlineSession:
         return {
             "name": self._source.name,
             "size": self._source.size,
-            "expected": self._source.length,
+            "reading": self._reader.is_alive(),
             "problem": self._problem,
             "output": str(self.output),
             "followed": self._followed,
             "numbers": [frame.number for frame in self._frames],
             "outlines": {number: [each.tolist() for each in found] for number, found in self._outlines.items()},
+            **self._found,
         }
 
-    def cut(self, place: int, strokes: list[tuple[list[list[float]], bool]]) -> Polygons:
-        """Polygons of the instrument under some strokes (points, on the instrument or beside) in a frame."""
+    def cut(self, place: int, strokes: list[tuple[list[list[float]], bool]], begin: Polygons) -> Polygons:
+        """Polygons of the instrument under some strokes (points, on the instrument or beside), from others on."""
         drawn = [Stroke(np.array(points, np.float64).reshape(-1, 2), bool(on)) for points, on in strokes]
-        found = self._cut.outlines(read_image(self.picture(place)), drawn)
+        polygons = [np.array(polygon, np.float64) for polygon in begin]
+        found = self._cut.outlines(read_image(self.picture(place)), drawn, polygons)
         return [np.round(polygon, 1).tolist() for polygon in found]
 
     def follow(self, outlines: Mapping[str, Polygons]) -> dict[str, Any]:
@@ -105,7 +112,8 @@ class OutlineSession:
                     shown[frame.number] = [*itertools.chain.from_iterable(parts)]
                 except (MaskError, InputError) as error:
                     lost[frame.number] = frame.error or str(error)
-            return {"shown": shown, "lost": lost, "output": str(self.output)}
+            self._found = {"shown": shown, "lost": lost}
+            return self._found | {"output": str(self.output)}
 
 
 def _visible(outline: np.ndarray, size: tuple[int, int]) -> Polygons:

@@ -75,6 +75,11 @@ def null_parameters(theta: Tensor) -> Tensor:
     return theta.detach() * theta.new_tensor([1.0, 1.0, 0.0])
 
 
+def identity_loss(unchanged: Tensor, real: Tensor) -> Tensor:
+    """‖G(D_t, θ_null) − D_t‖₁ (Bini 2026, equation 13)."""
+    return masked_l1(unchanged, real)
+
+
 def physics_loss(
     theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], observation: ObservationBatch, mechanics: Mechanics
 ) -> Tensor:

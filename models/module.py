@@ -189,8 +189,8 @@ class PhysicsInformedGAN(LightningModule):
             # Without a force the simulator leaves every map as it is.
             unchanged_a = self.generator_ab.decode(features_a, losses.null_parameters(ab.theta), real_a)
             unchanged_b = self.generator_ba.decode(features_b, losses.null_parameters(ba.theta), real_b)
-            pairs = (unchanged_a, real_a), (unchanged_b, real_b)  # Bini 2026, equation 13
-            terms["identity"] = sum(losses.masked_l1(*pair) for pair in pairs)
+            pairs = (unchanged_a, real_a), (unchanged_b, real_b)
+            terms["identity"] = sum(losses.identity_loss(*pair) for pair in pairs)
         if weights.physics:
             terms["physics"] = self._physics(ab, ba, batch)
         if weights.regularisation:

@@ -129,8 +129,7 @@ def open_table(
     def works() -> dict[str, np.ndarray]:
         work = np.zeros((len(rows), LENGTHS))
         for done, row in enumerate(rows):
-            press = simulate_press(kind, radius, places[row], float(angles[row]))
-            work[done] = np.interp(lengths, press.lengths, press.work)  # beyond the end no more is done
+            work[done] = simulate_press(kind, radius, places[row], float(angles[row])).work_at(lengths)
             report(done + 1, len(rows))
         return {"work": work[which]}
 

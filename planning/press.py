@@ -35,6 +35,10 @@ class PressCurve:
     work: np.ndarray
     """Shape [S] [J]."""
 
+    def work_at(self, lengths: np.ndarray) -> np.ndarray:
+        """Work of presses so long [m], shape as given [J]; beyond the end no more is done."""
+        return np.interp(lengths, self.lengths, self.work)
+
 
 @lru_cache(maxsize=8)
 def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:

@@ -188,7 +188,12 @@ def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
 
     Returns:
         z float32 of the same shape in [0, 1]; 0 = invalid, and a valid pixel never becomes 0.
+
+    Raises:
+        ValueError: the scale is not positive and finite.
     """
+    if not 0 < scale < math.inf:
+        raise ValueError(f"The depth scale is {scale}; give a positive number.")
     levels = 2**bits - 1
     valid = np.isfinite(depth) & (depth > 0)
     z = np.where(valid, depth, 0).astype(np.float64) / scale
@@ -212,7 +217,12 @@ def resize_depth(
 
     Returns:
         depth [h, w] float32 and labels [h, w] uint8.
+
+    Raises:
+        ValueError: the two maps differ in size.
     """
+    if depth.ndim != 2 or depth.shape != labels.shape:
+        raise ValueError(f"Depth {depth.shape} and labels {labels.shape} must be two maps of one size.")
     order, members, shares = _shares(labels, size)
     winner = shares.argmax(axis=0)
     valid = depth > 0

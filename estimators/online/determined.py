@@ -40,6 +40,8 @@ BENDINGS = (0.02, 0.3, 1.0)
 tried."""
 Answer = Callable[[np.ndarray], np.ndarray]
 """From values of the particles to values of points."""
+ROUGHNESS = 0.55
+"""Standard deviation of the difference of log stiffness between neighbouring knots, before anything is observed."""
 LEAST = 0.2
 """Frames whose points move less tell nothing [px]."""
 
@@ -125,15 +127,24 @@ class Fitting:
         return fit._replace(error=held_out) if fit is not None and explained else None
 
 
+LEARNT = 0.5
+"""What is known must be surer than before anything was observed, by this factor: three quarters of what is said of it,
+at least, then come from what was observed."""
 SPREAD = 1.0
 """Standard deviation of log stiffness at a knot before anything is seen, about its level."""
 LEVEL = 3.0
 """And of the level itself about the stiffness to begin with, which is as good as unknown: with 0 in its place the map
 depended on that. On twelve drawn pulls 0, 1, 2 and 3 made no difference to how often intervals hold."""
+LONGEST = 0.3
+"""Longest step of a knot's logarithm a frame."""
 STEPPED = "time_step", "foundation"
 """Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
 CHANGE = 0.01
 """Of log stiffness, for finite differences."""
+ROUNDS = 4
+"""Of finding the likeliest values and, with them, the noise."""
+NOISE = 0.3
+"""Followed points err by as much at least, by axis [px]."""
 
 
 class Determined:
@@ -221,13 +232,13 @@ class Determined:
     def likeliest(self, fields: Stiffness) -> Stiffness:
         """A Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
 
-        To what is likeliest of them if time step and foundation stay as they are, at most 0.3 a knot.
+        To what is likeliest of them if time step and foundation stay as they are, at most LONGEST a knot.
         """
         covariance, likeliest = self._posterior(fields)
         knots, stepped = slice(-len(STEPPED)), slice(-len(STEPPED), None)
         others = np.linalg.solve(covariance[stepped, stepped], likeliest[stepped])
         way = (likeliest - covariance[:, stepped] @ others - self._projected @ self._logs(fields).ravel())[knots]
-        way *= min(1.0, 0.3 / max(float(np.abs(way).max()), 1e-300))
+        way *= min(1.0, LONGEST / max(float(np.abs(way).max()), 1e-300))
         # As if they had been led by these fields all along: what remains of former ones would count again.
         slopes = (self._carried[1 : len(way) + 1] - self._carried[0]) / CHANGE
         self._carried = self._carried + np.tensordot(way, slopes, 1)
@@ -238,7 +249,7 @@ class Determined:
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
 
-        Known is where the knots around tell it to LIMIT, twice as sure as before anything was observed, and the
+        Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was observed, and the
         field is no farther from the likeliest value than that deviation: steps have not got there yet elsewhere.
         Deviations include what the knots leave open, from one to the next a random walk. Nothing is known where places
         that would be differ by less than their deviations, which doesn't tell which of them is stiffer.
@@ -253,13 +264,11 @@ class Determined:
         expected = SPREAD * np.sqrt(np.square(shares).sum(axis=2))
         sd = np.sqrt(np.einsum("fnk,kl,fnl->fn", shares, covariance, shares))
         apart = np.abs(logs - shares @ likeliest)
-        # Three quarters of what is said of it, at least, then come from what was observed.
-        known = among & (sd < LIMIT) & (sd <= 0.5 * expected) & (apart <= sd)
+        known = among & (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
-        # Standard deviation of the difference of log stiffness between neighbouring knots, before anything is observed.
-        stray = 0.55 * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:
@@ -272,14 +281,12 @@ class Determined:
         precision, likeliest = prior, self._projected @ self._logs(fields).ravel()
         some = self._points > 0
         squares, shared, points = self._squares[some], self._shared[some], self._points[some]
-        # Rounds of finding the likeliest values and, with them, the noise.
-        for _ in range(4 if some.any() else 0):
+        for _ in range(ROUNDS if some.any() else 0):
             way = np.append(1.0, -likeliest)
             left, common = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
             # Of a cell's points in a frame so many err together, and so do all frames.
             together = np.maximum(points * common.sum() / max(left.sum(), 1e-300), self._frames)
-            # Followed points err by as much at least, by axis [px].
-            weight = 1 / (together * (left / (self._axes * points) + 0.3**2))
+            weight = 1 / (together * (left / (self._axes * points) + NOISE**2))
             precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
             likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])
         return np.linalg.inv(precision), likeliest

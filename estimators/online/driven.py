@@ -19,6 +19,8 @@ from palpate.estimators.result import LEAST_SKILL
 
 Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
+LEAST_GRIPPED = 3
+"""Fewer points followed near the instrument don't tell how it moves the tissue."""
 PAST = MOST_FITTED
 """Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
@@ -118,8 +120,7 @@ class DrivenTissue:
             moved: displacement of the followed points, shape [P, 2] [px]; not observed = NaN.
         """
         seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
-        # Fewer points followed near the instrument don't tell how it moves the tissue.
-        if len(seen) < 3:
+        if len(seen) < LEAST_GRIPPED:
             return None
         pixels = self.surface.pixels[self.surface.gripped]
         count = min(6, len(seen))

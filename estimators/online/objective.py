@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from palpate.common.settings import Checked, NotNegative, Positive
+from palpate.physics.load import Grip
 from palpate.physics.mesh import incidence
 from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.potential import Potential
@@ -36,7 +37,14 @@ class Chamfer:
         Args:
             cloud: observed points, shape [m, 3] [m].
             seen: particles of the surface that the camera sees, shape [n].
+
+        Raises:
+            ValueError: an empty or infinite cloud, or nobody seen.
         """
+        if np.ndim(cloud) != 2 or np.shape(cloud)[1:] != (3,) or len(cloud) == 0 or not np.isfinite(cloud).all():
+            raise ValueError(f"the cloud has shape {np.shape(cloud)}; give finite points, [m, 3], one at least.")
+        if len(seen) == 0:
+            raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
         self._tree = KDTree(self.cloud)
 
@@ -69,8 +77,15 @@ class Tracks:
         Args:
             places: shares of the particles in every point's position, shape [P, N], rows adding up to 1.
             observed: where the points are, shape [P, 3] [m]; not observed = NaN.
+
+        Raises:
+            ValueError: shapes that don't fit, nothing seen.
         """
+        if np.shape(observed) != (places.shape[0], 3):
+            raise ValueError(f"observed has shape {np.shape(observed)}; give {(places.shape[0], 3)}.")
         seen = np.isfinite(observed).all(axis=1)
+        if not seen.any():
+            raise ValueError("none of the followed points is seen.")
         self.places, self.observed = places[np.flatnonzero(seen)], np.asarray(observed, np.float64)[seen]
         self._curved = (2 / len(self.observed) * (self.places.T @ self.places)).tocsr()
 
@@ -279,7 +294,8 @@ class Objective(Checked):
             places: where gripped particles are in every frame, shape [B, T, G, 3] or [T, G, 3] [m].
         """
         paths = places[None] if places.ndim == 3 else places
-        return simulate(self.body, fields, self.gripped, paths, self.stepping, starts)
+        grips = [Grip(self.gripped, path - self.body.rest[self.gripped]) for path in paths]
+        return simulate(self.body, fields, grips, self.stepping, start=starts)
 
     def carried(self, fields: Stiffness, states: np.ndarray, places: np.ndarray) -> np.ndarray:
         """States [B, N, 3] [m] one time step on, each by fields of its own, in two threads.

@@ -91,12 +91,20 @@ def make_body(
         pinned: which particles never move, shape [N], bool; None = none.
 
     Raises:
-        ValueError: edges of zero.
+        ValueError: shapes that don't fit, indices of no particle, numbers that are not finite, edges of zero.
     """
     rest = np.ascontiguousarray(rest, np.float64)
+    if rest.ndim != 2 or rest.shape[1] != 3 or not np.isfinite(rest).all():
+        raise ValueError(f"rest has shape {rest.shape}; give finite positions, [N, 3].")
+    count = len(rest)
     fours = np.empty((0, 4), np.int64) if tetrahedra is None else np.asarray(tetrahedra, np.int64)
     triangles = np.asarray(faces, np.int64)
-    held = np.zeros(len(rest), bool) if pinned is None else np.asarray(pinned, bool)
+    for name, cells, width in (("faces", triangles, 3), ("tetrahedra", fours, 4)):
+        if cells.ndim != 2 or cells.shape[1] != width or cells.min(initial=0) < 0 or cells.max(initial=-1) >= count:
+            raise ValueError(f"{name} has shape {cells.shape}; give [·, {width}], indices of the {count} particles.")
+    held = np.zeros(count, bool) if pinned is None else np.asarray(pinned, bool)
+    if held.shape != (count,):
+        raise ValueError(f"pinned has shape {held.shape}; give one entry a particle, {count}.")
     edges = _edges(triangles, fours)
     lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
     if not (lengths > 0).all():

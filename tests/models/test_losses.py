@@ -33,6 +33,7 @@ def test_masked_l1_leaves_out_pixels_without_a_measurement():
 def test_cycle_is_half_of_both_directions_and_identity_has_null_parameters():
     value = losses.cycle_loss(picture(0.5, 0.5), picture(0.4, 0.6), picture(0.3), picture(0.7))
     assert value.item() == pytest.approx(0.5 * (0.1 + 0.4))
+    assert losses.identity_loss(picture(0.5, 0.2), picture(0.4, 0.4)).item() == pytest.approx(0.15)
     theta = torch.tensor([[0.4, 0.2, -3.0]], requires_grad=True)
     null = losses.null_parameters(theta)
     assert null.tolist() == [[pytest.approx(0.4), pytest.approx(0.2), 0.0]]

@@ -206,7 +206,7 @@ def test_a_weight_of_zero_switches_its_term_off(make_told_batch, monkeypatch, se
     functions = {
         "gan": ("generator_adversarial_loss", "discriminator_loss"),
         "cycle": ("cycle_loss",),
-        "identity": ("null_parameters",),
+        "identity": ("identity_loss",),
         "physics": ("physics_loss", "posterior_physics_loss"),
         "regularisation": ("regularisation_loss",),
     }

@@ -23,6 +23,7 @@ def test_small_presses_are_springs_and_larger_energy_is_conserved() -> None:
     assert found.work[-1] == pytest.approx(whole)
     body = blocked_out(KIND, 0.004)[0].body
     assert body.volumes.sum() == pytest.approx(4e-6)
+    assert found.work_at(np.array([1.0]))[0] == found.work[-1]
 
 
 def test_a_damaged_table_is_told_before_anything_is_simulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

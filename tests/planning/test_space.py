@@ -167,8 +167,7 @@ def test_cost_intervals_hold_on_simulated_presses_of_other_bodies(scene, cache):
     finer = ((0.1, 0.12, 0.12), ("right", "top", "bottom"), (6, 7, 7)), ((0.06, 0.16, 0.16), ("right",), (4, 6, 6))
     for size, sides, cells in finer:
         tissue = SoftObject(size, 1000.0, 0.45, sides, longest=0.03, cells=cells)
-        press = simulate_press(tissue, RADIUS, np.array([-size[0] / 2, 0.0]), 0.0)
-        true = np.interp([0.02, 0.03], press.lengths, press.work)
+        true = simulate_press(tissue, RADIUS, np.array([-size[0] / 2, 0.0]), 0.0).work_at(np.array([0.02, 0.03]))
         told = np.interp([2, 3], depth, work) * 1000 * RADIUS**3
         ratio = true[:, None] * drawn / told[:, None]
         held.append((1 / costs.spread < ratio) & (ratio < costs.spread))

@@ -73,6 +73,12 @@ def test_normalise_stays_on_the_levels_and_within_half_a_step(depth, scale, bits
     assert (np.abs(z - exact) <= step + 1e-6)[depth > 0].all()
 
 
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
+def test_normalise_refuses_an_impossible_scale(scale):
+    with pytest.raises(ValueError, match="depth scale"):
+        normalise(np.ones((2, 2)), scale)
+
+
 # Resize
 
 
@@ -103,6 +109,11 @@ def test_resize_keeps_a_cell_only_with_half_of_its_label_valid():
     depth[:2, 4:] = 0  # a half valid
     result, labels = resize_depth(depth, np.ones((4, 8), np.uint8), (1, 2))
     assert (result.tolist(), labels.tolist()) == ([[0, 0.5]], [[1, 1]])
+
+
+def test_resize_refuses_maps_of_two_sizes():
+    with pytest.raises(ValueError, match=r"\(3, 4\) and labels \(4, 3\)"):
+        resize_depth(np.ones((3, 4), np.float32), np.ones((4, 3), np.uint8))
 
 
 # Scale

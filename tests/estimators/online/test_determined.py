@@ -12,6 +12,7 @@ from palpate.estimators.online.session import Method
 from palpate.estimators.online.settings import Start
 from palpate.estimators.online.surface import Surface, make_surface
 from palpate.estimators.result import LEAST_SKILL
+from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import simulate
 from palpate.physics.pbd.stiffness import Stiffness
 from tests.estimators.online.test_driven import AWAY, CAMERA, GEOMETRY, HEIGHT, POINTS, SETTINGS, driven, first_frame
@@ -40,7 +41,7 @@ def followed(sheet: Surface, frames: int = 40) -> np.ndarray:
     shares = np.linspace(0, 1, frames + 1)[1:, None]
     way = np.stack([sheet.lift(sheet.pixels[gripped] + share * WAY, rest[:, 2]) - rest for share in shares])
     fields = Stiffness(stiffness(sheet), usual.shape, usual.volume)
-    states = simulate(body, fields, gripped, (body.rest[gripped] + way)[None], STEPPING, body.rest).positions[0, 1:]
+    states = simulate(body, fields, Grip(gripped, way), STEPPING).positions[0, 1:]
     inside, places = sheet.places(POINTS)
     moved = np.full((frames, len(POINTS), 2), np.nan)
     moved[:, inside] = [sheet.project(places @ state) - sheet.project(places @ body.rest) for state in states]

@@ -7,6 +7,7 @@ import pytest
 
 from palpate.estimators.online.determined import BENDINGS, FOUNDATIONS, Fit, Fitting, uniform
 from palpate.estimators.online.objective import Objective
+from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
 from tests.physics.pbd.particles import block, sheet
@@ -21,22 +22,20 @@ def shown(states: np.ndarray) -> np.ndarray:
     return PER_METRE * (states - BODY.rest)[:, 5:20, :2]
 
 
-GRIPPED = np.array([27, 28])
-WAY = np.multiply.outer([0.2, 0.5, 1.0, 1.0], [[0.006, 0.003, 0.0012]] * 2)
+GRIP = Grip(np.array([27, 28]), np.multiply.outer([0.2, 0.5, 1.0, 1.0], [[0.006, 0.003, 0.0012]] * 2))
 
 
 def motion_of(fit: Fit) -> np.ndarray:
     fields = Stiffness(np.full(BODY.count, STIFFNESS), np.full(BODY.count, fit.bending * STIFFNESS))
-    path, stepping = (BODY.rest[GRIPPED] + WAY)[None], fit.stepping(STEPPING, STIFFNESS)
-    return shown(simulate(BODY, fields, GRIPPED, path, stepping, BODY.rest).positions[0, 1:])
+    return shown(simulate(BODY, fields, GRIP, fit.stepping(STEPPING, STIFFNESS)).positions[0, 1:])
 
 
 def fitted(seen: np.ndarray, moved: float = 1.0) -> Fit | None:
     """To these displacements of the points under the grip's way, or a share of it."""
-    objective = Objective(BODY, GRIPPED, STEPPING)
+    objective = Objective(BODY, GRIP.vertices, STEPPING)
     fitting = Fitting(objective, uniform(BODY, STIFFNESS, 0.01), BENDINGS, shown)
-    for place, frame in zip(moved * WAY, seen, strict=True):
-        fitting.step(BODY.rest[GRIPPED] + place, frame)
+    for place, frame in zip(moved * GRIP.displacement, seen, strict=True):
+        fitting.step(BODY.rest[GRIP.vertices] + place, frame)
     return fitting.best
 
 
@@ -82,8 +81,7 @@ def test_a_volume_moves_alike_in_any_unit() -> None:
         body = block((3, 2, 2), 0.0075 * unit)
         pinned = dataclasses.replace(body, pinned=body.rest[:, 0] < 1e-9)
         stiffness = uniform(pinned, 1.0, 0.01)
-        gripped = np.array([body.count - 1])
-        path = (body.rest[gripped] + unit * np.array([[[0.004, 0.0, 0.006]]] * 3))[None]
-        states.append(simulate(pinned, stiffness, gripped, path, STEPPING, body.rest).positions[0, -1] / unit)
+        grip = Grip(np.array([body.count - 1]), unit * np.array([[[0.004, 0.0, 0.006]]] * 3))
+        states.append(simulate(pinned, stiffness, grip, STEPPING).positions[0, -1] / unit)
         assert 1e9 < stiffness.volume * unit**4 < 1e11
     np.testing.assert_allclose(states[0], states[1], atol=1e-6)

@@ -54,9 +54,7 @@ def test_terms_are_as_defined():
     moved = 0.0
     for state in snapshots:  # one at a time, with the grip left where it was
         held = dataclasses.replace(body, pinned=body.pinned | np.isin(np.arange(body.count), objective.gripped))
-        after = simulate(held, fields, np.empty(0, int), np.empty((1, 1, 0, 3)), objective.stepping, state).positions[
-            0, 1
-        ]
+        after = simulate(held, fields, 1, objective.stepping, start=state).positions[0, 1]
         moved += np.linalg.norm(after - state)
     assert terms.history == pytest.approx(0.7 * moved / edge)
     assert objective.evaluate(fields, start, places, matches, [])[2].history == 0

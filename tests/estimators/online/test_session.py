@@ -8,6 +8,7 @@ from scipy.sparse import eye_array
 
 from palpate.estimators.online.objective import Objective, Tracks
 from palpate.estimators.online.session import SNAPSHOTS, WINDOW, Adam, Method, Session
+from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
 from tests.physics.pbd.particles import sheet
@@ -31,7 +32,7 @@ def truth() -> tuple[np.ndarray, np.ndarray]:
     finer = Stepping(time_step=1 / SUBSTEPS, iterations=40)
     # Without velocities a step is worth k Δt²: SUBSTEPS of them flow as far as one of 1 with k times SUBSTEPS.
     flowing = Stiffness(*(SUBSTEPS * values for values in fields[:2]))
-    motion = simulate(BODY, flowing, GRIPPED, (BODY.rest[GRIPPED] + path(FRAMES * SUBSTEPS))[None], finer, BODY.rest)
+    motion = simulate(BODY, flowing, Grip(GRIPPED, path(FRAMES * SUBSTEPS)), finer)
     return motion.positions[0, SUBSTEPS::SUBSTEPS], field
 
 

@@ -56,9 +56,18 @@ def test_what_is_pinned_or_gripped_has_no_inverse_mass():
     np.testing.assert_array_equal(body.inverse_mass(np.array([], int)), np.ones(8))
 
 
-def test_particles_in_one_place_are_refused():
-    with pytest.raises(ValueError, match="lie in one place"):
-        make_body(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+@pytest.mark.parametrize(("changed", "sentence"), [
+    ({"rest": np.zeros((3, 2))}, "rest has shape (3, 2)"),
+    ({"rest": np.full((3, 3), np.nan)}, "give finite positions"),
+    ({"rest": np.zeros((3, 3))}, "lie in one place"),
+    ({"faces": np.array([[0, 1, 3]])}, "faces has shape"),
+    ({"tetrahedra": np.array([[0, 1, 2]])}, "tetrahedra has shape"),
+    ({"pinned": np.zeros(2, bool)}, "pinned has shape (2,)"),
+])  # fmt: skip
+def test_bad_input_is_said(changed, sentence):
+    given = {"rest": np.eye(3), "faces": np.array([[0, 1, 2]])} | changed
+    with pytest.raises(ValueError, match=sentence.replace("(", r"\(").replace(")", r"\)")):
+        make_body(**given)
 
 
 def volumes(rest: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:

@@ -26,11 +26,6 @@ def fields_of(body: Body, seed: int = 0) -> Stiffness:
     return Stiffness(random.uniform(0.5, 3.0, body.count), random.uniform(0.2, 1.0, body.count))
 
 
-def driven(body: Body, *grips: Grip) -> tuple[np.ndarray, np.ndarray]:
-    """Gripped particles, and where they are after each step."""
-    return grips[0].vertices, body.rest[grips[0].vertices] + np.stack([grip.displacement for grip in grips])
-
-
 def grip_of(body: Body, count: int = 10, size: float = 1.0) -> Grip:
     """Two corners pulled and lifted over some steps."""
     ramp = np.linspace(0.1, 1.0, count)[:, None, None]
@@ -44,7 +39,7 @@ def test_compiled_steps_equal_plain_ones(name, stepping):
     body, how, grip = BODIES[name], STEPPINGS[stepping], grip_of(BODIES[name])
     path = body.rest[grip.vertices] + grip.displacement
     expected = steps(body, spread(body, fields_of(body))[0], body.rest, grip.vertices, path, how)
-    found = simulate(body, fields_of(body), *driven(body, grip), how, body.rest)
+    found = simulate(body, fields_of(body), grip, how)
     np.testing.assert_allclose(found.positions[0, 1:], np.stack(list(expected)), atol=1e-14)
     np.testing.assert_allclose(found.positions[0, -1, grip.vertices], body.rest[grip.vertices] + grip.displacement[-1])
     assert (found.positions[0, :, body.pinned] == body.rest[body.pinned][:, None]).all()
@@ -56,12 +51,12 @@ def test_gradient_of_ten_steps_equals_finite_differences(name, stepping):
     body, how, grip, fields = BODIES[name], STEPPINGS[stepping], grip_of(BODIES[name]), fields_of(BODIES[name])
     random = np.random.default_rng(3)
     still = {"start": body.rest + 3e-4 * random.normal(size=body.rest.shape)}
-    motion = simulate(body, fields, *driven(body, grip), how, **still)
+    motion = simulate(body, fields, grip, how, **still)
     weights = random.normal(size=motion.positions.shape)
     slopes = motion.gradient(weights)
 
     def value(changed: Stiffness) -> float:
-        return float((weights * simulate(body, changed, *driven(body, grip), how, **still).positions).sum())
+        return float((weights * simulate(body, changed, grip, how, **still).positions).sum())
 
     for which in ("distance", "shape"):
         central = np.empty(body.count)
@@ -82,7 +77,7 @@ def test_loose_particles_go_back_to_their_rest_on_a_foundation():
     how = Stepping(time_step=0.5, foundation=3.0)
     away = body.rest + 0.01 * np.random.default_rng(8).normal(size=body.rest.shape)
     loose = Stiffness(np.zeros(body.count), np.zeros(body.count), 0.0)
-    motion = simulate(body, loose, np.empty(0, int), np.empty((1, 4, 0, 3)), how, away)
+    motion = simulate(body, loose, 4, how, start=away)
     # Implicit Euler of m Δx/Δt² = -f x, no velocity kept.
     left = (1 / (1 + 3.0 * 0.5**2)) ** np.arange(5)[:, None]
     np.testing.assert_allclose(motion.positions[0] - body.rest, left[..., None] * (away - body.rest), atol=1e-15)
@@ -91,10 +86,9 @@ def test_loose_particles_go_back_to_their_rest_on_a_foundation():
 def test_a_stiffness_of_zero_has_a_gradient():
     body, how, grip = BODIES["sheet"], STEPPINGS["positions only"], grip_of(BODIES["sheet"], 2)
     fields = Stiffness(np.ones(body.count), np.zeros(body.count))
-    motion = simulate(body, fields, *driven(body, grip), how, body.rest)
+    motion = simulate(body, fields, grip, how)
     weights = np.random.default_rng(4).normal(size=motion.positions.shape)
-    stiffer = fields._replace(shape=np.full(body.count, 1e-6))
-    more = simulate(body, stiffer, *driven(body, grip), how, body.rest)
+    more = simulate(body, fields._replace(shape=np.full(body.count, 1e-6)), grip, how)
     ahead = (weights * (more.positions - motion.positions)).sum() / 1e-6
     assert motion.gradient(weights).shape.sum() == pytest.approx(ahead, rel=1e-4)
 
@@ -105,15 +99,15 @@ def test_a_batch_is_its_members():
     fields = [fields_of(body, seed) for seed in (0, 1)]
     starts = body.rest + 1e-4 * np.random.default_rng(5).normal(size=(2, *body.rest.shape))
     joined = Stiffness(*(np.stack([getattr(field, which) for field in fields]) for which in ("distance", "shape")))
-    motion = simulate(body, joined, *driven(body, *grips), how, starts)
+    motion = simulate(body, joined, grips, how, start=starts)
     weights = np.random.default_rng(6).normal(size=motion.positions.shape)
     slopes = motion.gradient(weights)
     for index in range(2):
-        alone = simulate(body, fields[index], *driven(body, grips[index]), how, starts[index])
+        alone = simulate(body, fields[index], grips[index], how, start=starts[index])
         np.testing.assert_array_equal(motion.positions[index], alone.positions[0])
         expected = alone.gradient(weights[index : index + 1])
         np.testing.assert_allclose(slopes.distance[index], expected.distance[0], rtol=1e-12)
-    one_for_all = simulate(body, fields[0], *driven(body, *grips), how, starts)
+    one_for_all = simulate(body, fields[0], grips, how, start=starts)
     np.testing.assert_array_equal(one_for_all.positions[0], motion.positions[0])
 
 
@@ -121,9 +115,7 @@ def pulled(iterations: int) -> np.ndarray:
     """A sheet in its plane, its first row pinned, after one step in which a corner is pulled."""
     body = sheet(8, 6, pinned_rows=1)
     fields = Stiffness(np.full(body.count, 5.0), np.full(body.count, 0.5))
-    return simulate(
-        body, fields, *driven(body, grip_of(body, 1)), Stepping(iterations=iterations), body.rest
-    ).positions[0, -1]
+    return simulate(body, fields, grip_of(body, 1), Stepping(iterations=iterations)).positions[0, -1]
 
 
 def test_a_pulled_sheet_converges_under_iteration():
@@ -158,10 +150,26 @@ def test_a_pulled_sheet_comes_to_rest_where_its_energy_is_smallest():
         steps_there = round(200 / time_step**2)
         still = Grip(grip.vertices, np.repeat(grip.displacement[-1:], steps_there, axis=0))
         how = Stepping(time_step=time_step, iterations=10)
-        settled = simulate(body, fields, *driven(body, still), how, body.rest).positions[0, -1, free]
+        settled = simulate(body, fields, still, how).positions[0, -1, free]
         apart.append(np.abs(settled - expected).max() / np.abs(expected - body.rest[free]).max())
     assert apart[1] < 0.02
     assert apart[0] / apart[1] == pytest.approx(4, rel=0.2)
+
+
+@pytest.mark.parametrize(("changed", "sentence"), [
+    ({"start": np.zeros((3, 3))}, "start has shape"),
+    ({"start": np.full((20, 3), np.inf)}, "start holds a number that is not finite"),
+    ({"grips": Grip(np.array([99]), np.zeros((2, 1, 3)))}, "a particle that doesn't exist"),
+    ({"grips": [Grip(np.array([1]), np.zeros((2, 1, 3))), Grip(np.array([2]), np.zeros((2, 1, 3)))]}, "path only"),
+    ({"start": np.zeros((3, 20, 3)), "grips": [Grip(np.array([1]), np.zeros((2, 1, 3)))] * 2}, "as many of each"),
+])  # fmt: skip
+def test_bad_input_is_said(changed, sentence):
+    body = BODIES["sheet"]
+    given = {"grips": 2, **changed}
+    with pytest.raises(ValueError, match=sentence):
+        simulate(body, fields_of(body), given.pop("grips"), Stepping(), **given)
+    with pytest.raises(ValueError, match="by_positions has shape"):
+        simulate(body, fields_of(body), 2, Stepping()).gradient(np.zeros(3))
 
 
 @pytest.mark.parametrize(("name", "value"), [("time_step", 0.0), ("iterations", 0), ("foundation", -1.0)])

@@ -25,7 +25,7 @@ class Note:
 NOTES = {
     "determined": Note((22, 163, 74), "Stiffness, damping and force are determined; ± is the 90 % interval.",
         "Use all three, each with its 90 % interval."),
-    "ratios": Note((37, 99, 235), "Only k_s/k_d and |F|/k_d are determined; ± is the 90 % interval.",
+    "ratios": Note((37, 99, 235), "Only k_d/k_s and |F|/k_s are determined; ± is the 90 % interval.",
         "Use k_d/k_s (a time) and F/k_s (a length), not k_s, k_d or F themselves. One known force or stiffness "
         "gives all three (--force-scale)."),
     "relative_force": Note((76, 90, 140), "Only how the force at the grip changes over time is determined.",

@@ -98,14 +98,14 @@ define calibrated
 	$(call validate,$(1)) --suite clean noisy --clips $(4) --size 854x480 --seed $(7)3 --output $(1)/fine
 	$(call validate,$(1)) --suite clean 8bit noisy --clips $(5) --seen press --seed $(7)4 --output $(1)/pressed
 	$(call validate,$(1)) --suite late-onset --clips $(6) --onset between --seed $(7)2 --output $(1)/between
-	$(BIN)/python -m estimators.network.calibration --model $(1)/uncalibrated.onnx --output $(2) \
+	$(BIN)/python -m palpate.estimators.network.calibration --model $(1)/uncalibrated.onnx --output $(2) \
 		--validation $(1)/validation $(1)/fine --pressed $(1)/pressed --between $(1)/between
 endef
 validate = $(BIN)/python -m benchmarks.recovery --estimator network --split validation --model $(1)/uncalibrated.onnx
 
 MODEL := runs/contact
 model: $(INSTALLED) $(MODEL)/posterior.pt
-	$(BIN)/python -m estimators.network.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
+	$(BIN)/python -m palpate.estimators.network.calibration --weights $(MODEL)/posterior.pt --output $(MODEL)/uncalibrated.onnx
 	$(call calibrated,$(MODEL),$(MODEL)/contact.onnx,400,60,150,400,1201)
 
 $(MODEL)/posterior.pt: | $(INSTALLED)

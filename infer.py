@@ -5,7 +5,7 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
-from palpate.command.infer import main
+from palpate.cli.infer import main
 
 if __name__ == "__main__":
     run_door(main)

@@ -35,7 +35,7 @@ from benchmarks.real.__main__ import main as judge
 from benchmarks.recovery.__main__ import main as recover
 from benchmarks.recovery.suites import EVERY
 from palpate.api import calibrate, plan
-from palpate.command.infer import main as infer
+from palpate.cli.infer import main as infer
 from palpate.common.command_line import say
 from palpate.common.files import as_json
 from palpate.common.options import options

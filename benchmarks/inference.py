@@ -29,7 +29,7 @@ import pandas as pd
 import torch
 
 from benchmarks.harness import show
-from palpate.command.infer import main as infer
+from palpate.cli.infer import main as infer
 from palpate.common.options import parse
 from palpate.data.contact.features import FEATURES
 from palpate.data.synthetic.clip import write_clip

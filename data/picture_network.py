@@ -21,7 +21,7 @@ class PictureNetwork:
     Args:
         path: ONNX file.
         threads: intra-op threads, 0 = onnxruntime's choice.
-        device: where it runs, one of `common.onnx_devices.DEVICES`.
+        device: where it runs, one of `palpate.common.onnx_devices.DEVICES`.
         raw: whether the network may take 8-bit numbers, which hold no normalised picture.
 
     Raises:

@@ -60,8 +60,9 @@ class PhysicsInformedGAN(LightningModule):
         head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
-        pretrained: weights of head posterior that configs/contact.yaml trained or `estimators.network.calibration`
-            exported, loaded before training; shipped: those that come with the program.
+        pretrained: weights of head posterior that configs/contact.yaml trained or
+            `palpate.estimators.network.calibration` exported, loaded before training; shipped: those that
+            come with the program.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.

@@ -56,12 +56,12 @@ class ModelFileError(ValueError):
 
 
 class ExportedModel:
-    """A network in a file that `train.py export` or `estimators.network.calibration` wrote.
+    """A network in a file that `train.py export` or `palpate.estimators.network.calibration` wrote.
 
     Args:
         path: the file.
         threads: CPU threads for one call; None leaves the choice to ONNX Runtime.
-        device: where it runs, one of `common.onnx_devices.DEVICES`.
+        device: where it runs, one of `palpate.common.onnx_devices.DEVICES`.
 
     Raises:
         ModelFileError: the file is missing, is no ONNX file, was not exported by this program or is of another kind,

@@ -5,7 +5,7 @@
         print(run.onset_frame, run.verdict, run.estimate)
 
 api        what a script calls: estimate, open_clip, open_estimator, calibrate, plan; outline_page: OutlinePage
-command    what a user types; __main__: the command `palpate`
+cli        what a user types; __main__: the command `palpate`
 common     files, settings, terminals; knows nothing of the field
 physics    simulators and their derivatives: simulate (numpy), rollout (torch), Mechanics
 data       from pixels to an Interaction: one run of contact, its mesh, load and observed motion

@@ -18,9 +18,9 @@ from pathlib import Path
 from palpate.common.provenance import __version__
 
 OWN = ("infer", "live", "train", "calibrate", "plan", "page", "outline")
-"""Commands that are modules of `palpate.command`."""
-COMMANDS = {name: f"palpate.command.{name}" for name in OWN} | {
-    "export": "palpate.command.train",
+"""Commands that are modules of `palpate.cli`."""
+COMMANDS = {name: f"palpate.cli.{name}" for name in OWN} | {
+    "export": "palpate.cli.train",
     "synthetic": "palpate.data.synthetic.__main__",
 }
 """Modules whose `main` takes a command's arguments."""

@@ -27,47 +27,47 @@ FLOORS = {
     "planning": BELOW_RESULTS,
     "results": BELOW_RESULTS,
     "palpate": BELOW_RESULTS | {"results", "planning"},
-    "command": BELOW_RESULTS | {"results", "planning", "palpate"},
-    "benchmarks": BELOW_RESULTS | {"results", "planning", "palpate", "command"},
+    "cli": BELOW_RESULTS | {"results", "planning", "palpate"},
+    "benchmarks": BELOW_RESULTS | {"results", "planning", "palpate", "cli"},
 }
 """What of the project each room may import: downwards only, and models and data not each other. `palpate` is the
-public face alone, `command` what a user types. `benchmarks` is not installed, and nothing else imports it."""
+public face alone, `cli` what a user types. `benchmarks` is not installed, and nothing else imports it."""
 FENCES = {
     "lightning": (
-        "palpate/command/train.py",
-        "palpate/command/train_masks.py",
-        "palpate/command/tracking.py",
+        "palpate/cli/train.py",
+        "palpate/cli/train_masks.py",
+        "palpate/cli/tracking.py",
         "models/module.py",
         "models/instruments/module.py",
         "data/training/datamodule.py",
         "data/training/instruments/datamodule.py",
     ),
-    "lightning.pytorch.loggers": ("palpate/command/tracking.py", "palpate/command/train_masks.py"),
-    "mlflow": ("palpate/command/train.py", "palpate/command/tracking.py"),
-    "cv2": ("data/", "results/", "benchmarks/"),
+    "lightning.pytorch.loggers": ("palpate/cli/tracking.py", "palpate/cli/train_masks.py"),
+    "mlflow": ("palpate/cli/train.py", "palpate/cli/tracking.py"),
+    "cv2": ("data/", "palpate/results/", "benchmarks/"),
     "matplotlib": (
-        "planning/pictures.py",
-        "results/artefacts/fit.py",
-        "results/paper/",
+        "palpate/planning/pictures.py",
+        "palpate/results/artefacts/fit.py",
+        "palpate/results/paper/",
         "benchmarks/",
     ),
-    "jinja2": ("results/page/render.py",),
-    "pandas": ("benchmarks/", "results/paper/"),
+    "jinja2": ("palpate/results/page/render.py",),
+    "pandas": ("benchmarks/", "palpate/results/paper/"),
     "trimesh": (
-        "planning/surface.py",
+        "palpate/planning/surface.py",
         "data/source/clouds.py",
-        "estimators/palpation/",
+        "palpate/estimators/palpation/",
         "physics/fem/surface.py",
     ),
-    "scipy.stats": ("estimators/direct/", "results/paper/", "benchmarks/"),
+    "scipy.stats": ("palpate/estimators/direct/", "palpate/results/paper/", "benchmarks/"),
 }
 """Where a library may be imported, by whatever door."""
 LIGHT_DOORS = {
-    "palpate.command.calibrate": "palpate.estimators.palpation.material_fit",
-    "palpate.command.infer": "palpate.estimators.direct.sampling",
-    "palpate.command.live": "palpate.estimators.direct.sampling",
-    "palpate.command.page": "palpate.results.page.render",
-    "palpate.command.plan": "palpate.planning.roadmap",
+    "palpate.cli.calibrate": "palpate.estimators.palpation.material_fit",
+    "palpate.cli.infer": "palpate.estimators.direct.sampling",
+    "palpate.cli.live": "palpate.estimators.direct.sampling",
+    "palpate.cli.page": "palpate.results.page.render",
+    "palpate.cli.plan": "palpate.planning.roadmap",
     "palpate.data.synthetic.__main__": "palpate.data.synthetic.truth",
 }
 """Programs that run where no network is trained, and something that each of them reaches."""
@@ -80,11 +80,11 @@ MOST_NAMES = 15
 @cache
 def modules() -> dict[str, Path]:
     """Files of the project by the names under which they are imported, tests left out."""
-    files = [*ROOT.glob("palpate/*.py"), *ROOT.glob("palpate/command/*.py")]
-    found = {path.relative_to(ROOT): path for path in files}
-    found |= {path.relative_to(ROOT): path for path in (ROOT / "benchmarks").rglob("*.py")}
-    rooms = [room for room in FLOORS if room not in ("palpate", "command", "benchmarks")]
-    found |= {Path("palpate", path.relative_to(ROOT)): path for room in rooms for path in (ROOT / room).rglob("*.py")}
+    found = {
+        path.relative_to(ROOT): path for folder in ("palpate", "benchmarks") for path in (ROOT / folder).rglob("*.py")
+    }
+    linked = [path for folder in ("physics", "data", "models") for path in (ROOT / folder).rglob("*.py")]
+    found |= {Path("palpate", path.relative_to(ROOT)): path for path in linked}
     names = {name.with_suffix("").as_posix().replace("/", "."): path for name, path in found.items()}
     return {name.removesuffix(".__init__"): names[name] for name in sorted(names)}
 
@@ -160,7 +160,7 @@ def is_inside(module: str, package: str) -> bool:
 
 
 def test_the_layout_is_found() -> None:
-    wanted = ("palpate", "palpate.command.train", "palpate.physics.msd", "palpate.data.clip", "palpate.models.module")
+    wanted = ("palpate", "palpate.cli.train", "palpate.physics.msd", "palpate.data.clip", "palpate.models.module")
     assert set(wanted) <= set(modules())
     assert "palpate.data.training.samples" in reached_at_once("palpate.estimators.network.training") | set(modules())
     assert not [name for name in modules() if name.rpartition(".")[2] in ("utils", "helpers", "misc")]
@@ -262,7 +262,7 @@ class Ban:
         if any(name == entry or name.startswith(entry + ".") for entry in banned):
             raise ImportError(name + " is banned here")
 sys.meta_path.insert(0, Ban())
-from palpate.command import infer
+from palpate.cli import infer
 raw, model = ["--masks", "automatic", "--depth", "photometric"], ["--model", {str(tmp_path / "parameters.onnx")!r}]
 quick = ["--onset", "stamp", "--no-overlay"]
 for name, options in (("network", quick), ("gan", [*model, *raw]), ("direct", quick)):
@@ -309,7 +309,7 @@ print(*sorted({{name for name in sys.modules if name.split(".")[0] not in sys.st
 
 
 def test_json_is_written_by_one_function() -> None:
-    """`common.files.as_json`, which leaves no number in it that JSON doesn't know."""
+    """`palpate.common.files.as_json`, which leaves no number in it that JSON doesn't know."""
     writers = [
         f"{name_of(path)}, line {node.lineno}"
         for module, path in modules().items()

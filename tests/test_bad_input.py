@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.command import infer
+from palpate.cli import infer
 from palpate.common.output import LIST
 from palpate.data.contact.geometry import GeometrySettings
 from tests import inference_inputs as inputs

@@ -13,7 +13,7 @@ import yaml
 from benchmarks.palpation import example
 from benchmarks.palpation.example import scene_files
 from benchmarks.palpation.synthetic import BODIES, observe, press
-from palpate.command import calibrate
+from palpate.cli import calibrate
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
 from palpate.estimators.palpation import Palpation, Skin

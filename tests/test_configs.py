@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from palpate.command import train
-from palpate.command.train_masks import MasksCLI
+from palpate.cli import train
+from palpate.cli.train_masks import MasksCLI
 from palpate.estimators.network.training import ContactSettings
 from palpate.estimators.online.determined import BENDINGS
 from palpate.estimators.online.objective import PAPER

@@ -24,14 +24,14 @@ MODULES = [
     "benchmarks.real",
     "benchmarks.recovery",
     "data.synthetic",
-    "estimators.network.calibration",
+    "palpate.estimators.network.calibration",
 ]
 """Programs that `python -m` starts."""
 
 
 def named(module: str) -> str:
     """The file's name of such a program: a package is started by its `__main__`."""
-    name = module if module.startswith("benchmarks") else f"palpate.{module}"
+    name = module if module.startswith(("benchmarks", "palpate")) else f"palpate.{module}"
     return f"{name}.__main__" if name in faces() else name
 
 

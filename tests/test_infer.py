@@ -15,7 +15,7 @@ import onnxruntime
 import pytest
 from distributed import LocalCluster
 
-from palpate.command import infer
+from palpate.cli import infer
 from palpate.common.onnx_devices import PROVIDERS
 from palpate.common.output import LIST
 from palpate.common.workers import WorkerLost, run_tasks

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from pyigtl import OpenIGTLinkClient
 
-from palpate.command.live import JsonLines, igtl_server, main
+from palpate.cli.live import JsonLines, igtl_server, main
 from palpate.common.doors import INTERRUPTED
 from palpate.data.depth.model import RawDepth
 from palpate.data.depth.stereo import StereoDepth

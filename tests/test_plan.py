@@ -5,7 +5,7 @@ import json
 import pytest
 import yaml
 
-from palpate.command import plan
+from palpate.cli import plan
 from palpate.planning import cost_table
 from tests.planning.cases import quick_press
 from tests.planning.test_scene import SHIPPED

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.command.infer import main
+from palpate.cli.infer import main
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.network.estimator import NetworkEstimator

@@ -21,7 +21,7 @@ import yaml
 from mlflow import MlflowClient
 from mlflow.exceptions import MlflowException
 
-from palpate.command import infer, tracking, train
+from palpate.cli import infer, tracking, train
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.synthetic import __main__ as synthetic
@@ -489,7 +489,7 @@ def test_two_processes_fit_and_test_to_one_process_s_numbers(config: Path, tmp_p
     assert train.main([*tested, str(one)]) == 0
     apart = ["--trainer.num_nodes=2", "--data.loading.batch_size=1"]
     fit = ["fit", *arguments, "--trainer.default_root_dir", str(two), *apart]
-    code = f"from palpate.command.train import main\nassert main({fit}) == main({[*tested, str(two), apart[0]]}) == 0"
+    code = f"from palpate.cli.train import main\nassert main({fit}) == main({[*tested, str(two), apart[0]]}) == 0"
     told = capsys.readouterr().out, together(*[[sys.executable, "-c", code]] * 2)[0]
     expected, found = last(one), last(two)
     assert found["global_step"] == expected["global_step"] == 3 * 14 / 2
@@ -519,7 +519,7 @@ def test_where_one_process_diverges_all_end_with_a_sentence(config: Path, tmp_pa
     """The second, which the first has started."""
     program = tmp_path / "diverging.py"
     program.write_text(
-        "from palpate.common.doors import enter_door, run_door\nfrom palpate.command import train\n"
+        "from palpate.common.doors import enter_door, run_door\nfrom palpate.cli import train\n"
         "from palpate.models import losses\n"
         "from lightning.pytorch.utilities import rank_zero_only\ntotal = losses.total\n"
         "losses.total = lambda *a: total(*a) * (float('nan') if rank_zero_only.rank == 1 else 1.0)\n"

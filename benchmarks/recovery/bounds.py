@@ -1,8 +1,9 @@
 """What a contact could have shown at best: Fisher information of its dent at the truth.
 
 All on the true mesh and at the true instants, with two delays of the press as further parameters
-(`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them. Where the
-press is no step on a vertex, nobody knows its patch, its direction, its rise and its fall (`estimators.direct.patch`).
+(`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them.
+Where the press is no step on a vertex, nobody knows its patch, its direction, its rise and its fall
+(`estimators.direct.patch`).
 """
 
 import dataclasses

@@ -83,7 +83,7 @@ def score(rows: Sequence[Row], onset: str = STAMP) -> Scores:
 
     Args:
         rows: its results, one at least.
-        onset: whether the instants of the press are known to that bound: as of `estimators.onset.PressSettings`.
+        onset: whether the instants of the press are known to that bound (`estimators.onset.PressSettings`).
     """
     kept = [row for row in rows if row["status"] == OK]
     truth, estimate = (np.log(np.abs([row[name] for row in kept])).reshape(-1, 3) for name in ("theta", "estimate"))

@@ -61,7 +61,7 @@ class DepthSettings(Checked, group="depth."):
     threads: Annotated[int, 0, MOST_THREADS] = 0
     """Threads of the depth model, and of a mask model; 0 leaves it to onnxruntime."""
     device: Literal["auto", "cpu", "openvino", "cuda"] = "cpu"
-    """Where these run (`common.onnx_devices`): cuda needs onnxruntime-gpu, openvino onnxruntime-openvino."""
+    """Where these run (`palpate.common.onnx_devices`): cuda needs onnxruntime-gpu, openvino onnxruntime-openvino."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -106,7 +106,7 @@ BOX = torch.from_numpy(Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.
 
 @pytest.fixture
 def pretrained(tmp_path: Path) -> tuple[Path, ContactPosterior]:
-    """A file as `estimators.network.training` writes it, and what it was written from."""
+    """A file as `palpate.estimators.network.training` writes it, and what it was written from."""
     torch.manual_seed(1)
     posterior = ContactPosterior(7, BOX)
     posterior.standardise(torch.randn(20, 7))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import palpate
-from palpate.command import infer
+from palpate.cli import infer
 from palpate.data.synthetic.clip import write_clip
 from tests.tables import read_rows
 from tests.test_infer import SCENE

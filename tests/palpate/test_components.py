@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.command import infer
+from palpate.cli import infer
 from palpate.data.synthetic.clip import write_clip
 from tests.tables import read_rows
 from tests.test_infer import SCENE

@@ -10,7 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from palpate import api
-from palpate.command import plan as door
+from palpate.cli import plan as door
 from palpate.planning import space_map
 from palpate.planning.press import simulate_press
 from palpate.planning.pressing import RADIUS, WORK_SD, PressingCosts, unit_press

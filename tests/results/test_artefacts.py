@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from palpate.command import infer
+from palpate.cli import infer
 from palpate.estimators.estimate import PressNumbers
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.result import NINETY, Quantity, Table, column

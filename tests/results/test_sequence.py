@@ -8,7 +8,7 @@ import meshio
 import numpy as np
 import pytest
 
-from palpate.command.infer import main
+from palpate.cli.infer import main
 from tests.sequences import SHIFT, TURN, pull, write_sequence
 
 SETTINGS = "{particles: 80, fitted: 0, method: {optimizer: gauss-newton}}"

@@ -1,6 +1,6 @@
 """One builder: a run of contact read from a prepared clip is to the last digit the one that was pushed frame by frame.
 
-The streamed side goes through `estimators.runs`, the stored one through `data.training.samples`, as users' do.
+The streamed side goes through `palpate.estimators.runs`, the stored one through `data.training.samples`, as users' do.
 """
 
 import dataclasses

@@ -10,7 +10,7 @@ import pytest
 import torch
 from rich.progress import Progress
 
-from palpate.command import train
+from palpate.cli import train
 from palpate.common.doors import INTERRUPTED
 from palpate.common.output import LIST
 from palpate.common.workers import WorkerLost

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from palpate.command import infer
+from palpate.cli import infer
 from palpate.data.masks.class_table import CLASSES
 from tests.benchmarks.real_clips import pull_pictures, tissue_motion, tool_mask, write
 from tests.conftest import CHECKOUT

@@ -56,7 +56,7 @@ class PressCourse:
     shape: PressShape | None = None
     """Patch, direction and course of the press; None = taken to be a step on one vertex."""
     view_angle: float | None = None
-    """Angle between the contact's direction and the line of sight [degrees] (see estimators.oblique); None = not
+    """Angle between the contact's direction and the line of sight [degrees] (`estimators.oblique`); None = not
     known."""
 
     @property

@@ -1,6 +1,6 @@
 """Independent tasks on other machines, by the workers of a Dask scheduler (extra `distributed`).
 
-Results are those of `common.workers.run_tasks`, whose processes run on this machine.
+Results are those of `palpate.common.workers.run_tasks`, whose processes run on this machine.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 ROOT = Path(__file__).resolve().parents[1]
-"""Folder that holds the project's packages: the checkout, or where they are installed."""
+"""Folder `palpate`."""
 PACKAGES = ("common", "data", "estimators", "models", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """Folders that no prepared clip depends on."""
@@ -24,7 +24,7 @@ def _version() -> str:
     try:
         return version("palpate")
     except PackageNotFoundError:
-        path = ROOT / "pyproject.toml"
+        path = ROOT.parent / "pyproject.toml"
         return tomllib.loads(path.read_text("utf-8"))["project"]["version"] if path.is_file() else "unknown"
 
 
@@ -40,8 +40,9 @@ def code_digest(part: Part = "all") -> str:
     """
     digest = hashlib.sha256()
     for package in PACKAGES:
-        for path in sorted(path for path in (ROOT / package).rglob("*") if path.suffix in (".py", ".yaml", ".onnx")):
-            name = path.relative_to(ROOT).as_posix()
+        root = ROOT / package if (ROOT / package).is_dir() else ROOT.parent / package  # a checkout without links
+        for path in sorted(path for path in root.rglob("*") if path.suffix in (".py", ".yaml", ".onnx")):
+            name = f"{package}/{path.relative_to(root).as_posix()}"
             if _belongs(name, part):
                 digest.update(name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]

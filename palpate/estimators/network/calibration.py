@@ -1,7 +1,8 @@
 """From a trained contact posterior to the model that `infer.py` uses: exported, and calibrated on validation clips.
 
-    python -m estimators.network.calibration --weights runs/contact/posterior.pt --output runs/contact/uncalibrated.onnx
-    python -m estimators.network.calibration --model runs/contact/uncalibrated.onnx \
+    python -m palpate.estimators.network.calibration --weights runs/contact/posterior.pt \
+        --output runs/contact/uncalibrated.onnx
+    python -m palpate.estimators.network.calibration --model runs/contact/uncalibrated.onnx \
         --output models/weights/contact.onnx --validation runs/contact/validation runs/contact/fine \
         --pressed runs/contact/pressed --between runs/contact/between
 
@@ -119,7 +120,10 @@ def metadata(weights: Path) -> dict[str, object]:
     settings = {"bounds": BOUNDS, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
     contact = {"features": FEATURES + SEQUENCE_FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE}
-    made = {"motions": "simulated contacts (estimators.network.training)", "weights_sha256": file_sha256(weights)}
+    made = {
+        "motions": "simulated contacts (palpate.estimators.network.training)",
+        "weights_sha256": file_sha256(weights),
+    }
     return {
         **{name: dataclasses.asdict(values) for name, values in settings.items()},
         "input": {"window": 1, "height": PREPARE.geometry.height, "width": PREPARE.geometry.width},
@@ -171,7 +175,7 @@ def calibration_of(asked: Any) -> Calibration:
 
 def main(arguments: list[str] | None = None) -> int:
     """Export or calibrate; returns the exit status."""
-    asked: Any = options(Calibrated, arguments, "estimators.network.calibration", __doc__)
+    asked: Any = options(Calibrated, arguments, "palpate.estimators.network.calibration", __doc__)
     try:
         if asked.model is not None:
             calibration = calibration_of(asked)

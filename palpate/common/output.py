@@ -39,7 +39,7 @@ def require_own(*paths: Path) -> None:
 
 @contextmanager
 def replacing_own(path: Path) -> Generator[Path]:
-    """As `common.files.replacing`, of a file that is not there yet or still as this program wrote it.
+    """As `palpate.common.files.replacing`, of a file that is not there yet or still as this program wrote it.
 
     Raises:
         ForeignFile: see `require_own`.

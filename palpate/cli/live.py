@@ -26,7 +26,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from palpate.command import infer
+from palpate.cli import infer
 from palpate.common.command_line import size_of
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json

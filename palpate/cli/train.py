@@ -32,8 +32,8 @@ from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities import disable_possible_user_warnings
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
-from palpate.command.tracking import RUN_ID, log_artifact, log_data, log_settings, run_loggers, tracked
-from palpate.command.train_masks import MasksCLI
+from palpate.cli.tracking import RUN_ID, log_artifact, log_data, log_settings, run_loggers, tracked
+from palpate.cli.train_masks import MasksCLI
 from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain, program
 from palpate.common.files import read_beside
 from palpate.common.output import ForeignFile, require_own

@@ -22,7 +22,7 @@ INTERACTIONS, FIT, FIELDS = "interactions.csv", "fit.png", "fields.npz"
 CALIBRATED, REPORT = "calibrated.csv", "forces.json"
 """Files of a clip's folder. The record is written last: with it a folder is complete."""
 PAGES = "index.html", "page.html"
-"""Page of a batch in its folder, and of a clip in that clip's; listed as this program's by `common.output`."""
+"""Page of a batch in its folder, and of a clip in that clip's; listed as this program's by `palpate.common.output`."""
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
 MARKER = ".unfinished-results"

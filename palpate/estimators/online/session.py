@@ -1,7 +1,7 @@
 """One clip's state and field, frame by frame (Liang 2024, algorithm 1): step, map, optimise.
 
 Stiffness is optimised by Adam, as in the paper, or set from outside: by the Gauss–Newton steps of
-`estimators.online.determined`, which see followed points.
+`palpate.estimators.online.determined`, which see followed points.
 """
 
 from collections import deque
@@ -55,7 +55,7 @@ class Method(Checked):
     """Simulation alone; with states that are mapped to what is observed; with stiffness that is optimised, too."""
     optimizer: Literal["adam", "gauss-newton"] = "gauss-newton"
     """By what stiffness is changed: Adam, the paper's, or Gauss–Newton steps of the fields at a few knots, which are
-    `estimators.online.determined`'s and need followed points."""
+    `palpate.estimators.online.determined`'s and need followed points."""
     rate: Positive = 0.1
     """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 

@@ -168,6 +168,45 @@ class PreparedClip:
         return Mesh(**parts)
 
 
+@dataclass(frozen=True)
+class StoredFrame:
+    """A frame of a prepared clip with what a run of contact keeps, named as in `PreparedFrame`."""
+
+    clip: PreparedClip
+    index: int
+    whole: bool
+    """Whether it has depth and labels, which are read when they are asked for."""
+    skipped = ()
+
+    @property
+    def time_s(self) -> float:
+        return float(self.clip.times[self.index])
+
+    @property
+    def in_contact(self) -> bool:
+        return bool(self.clip.contact[self.index])
+
+    @property
+    def out_of_contact(self) -> bool:
+        return bool(self.clip.out_of_contact[self.index])
+
+    @property
+    def consecutive(self) -> bool:
+        return bool(self.clip.consecutive[self.index])
+
+    @property
+    def track_position(self) -> np.ndarray:
+        return self.clip.track_position[self.index]
+
+    @property
+    def depth(self) -> np.ndarray | None:
+        return self.clip.depth(self.index) if self.whole else None
+
+    @property
+    def labels(self) -> np.ndarray | None:
+        return self.clip.labels(self.index) if self.whole else None
+
+
 class CacheEntry:
     """Place of a prepared clip in the cache."""
 

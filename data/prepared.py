@@ -89,6 +89,11 @@ class PreparedFrame:
         return self.in_contact
 
     @property
+    def time_s(self) -> float:
+        """Time stamp [s]."""
+        return self.frame.time_s
+
+    @property
     def in_contact(self) -> bool:
         """Whether the tool touches the tissue."""
         return self.geometry is not None

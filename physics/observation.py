@@ -1,10 +1,54 @@
-"""What was observed of moving tissue: followed points, when, how far from rest, and with what noise."""
+"""What was observed of moving tissue: followed points, when, how far from rest, with what noise; likelihood of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+
+from palpate.physics.identifiability import fisher_information
+
+
+class Linearised(NamedTuple):
+    """A likelihood around one φ of D parameters; K observed coordinates."""
+
+    residual: np.ndarray
+    """(Φ - d)/σ, shape [K]."""
+    jacobian: np.ndarray
+    """Its derivatives by φ, shape [K, D]."""
+
+    @property
+    def misfit(self) -> float:
+        """½ Σ r², the negative log likelihood up to a constant."""
+        return 0.5 * float(self.residual @ self.residual)
+
+    @property
+    def gradient(self) -> np.ndarray:
+        """Of the misfit by φ, shape [D]."""
+        return self.jacobian.T @ self.residual
+
+    @property
+    def information(self) -> np.ndarray:
+        """Fisher information of φ, shape [D, D]."""
+        return fisher_information(self.jacobian, 1.0)
+
+
+class CommonErrors:
+    """Normal errors that values share besides independent ones of variance 1.
+
+    Args:
+        columns: what a standard deviation of each of M errors adds to K values, shape [K, M].
+    """
+
+    def __init__(self, columns: np.ndarray) -> None:
+        self._columns = columns
+        self._factor = np.linalg.cholesky(columns.T @ columns + np.eye(columns.shape[1]))
+
+    def marginalised(self, values: np.ndarray) -> np.ndarray:
+        """Whiten values [K, D]: products of the result [K + M, D] are those by the inverse of the whole covariance."""
+        common = np.linalg.solve(self._factor.T, np.linalg.solve(self._factor, self._columns.T @ values))
+        return np.concatenate([values - self._columns @ common, common])
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,3 +112,10 @@ class Observation:
         """The same instants with other displacements, of shape [M, N, 3] or [N, 3], and another noise on every axis."""
         displacement = np.asarray(displacement, np.float32).reshape(self.displacement.shape)
         return replace(self, displacement=displacement, noise=np.full(3, noise, np.float64))
+
+    def linearise(self, moved: np.ndarray, slopes: np.ndarray, _: np.ndarray | None = None) -> Linearised:
+        """Residual in standard deviations, and its derivatives, of displacements [N, M, 3] with slopes [N, M, 3, D]."""
+        seen = np.isfinite(self.displacement)
+        observed, noise = self.displacement.astype(np.float64)[seen], np.broadcast_to(self.noise, seen.shape)[seen]
+        moved, slopes = (np.moveaxis(values, 1, 0)[seen] for values in (moved, slopes))
+        return Linearised((moved - observed) / noise, slopes / noise[:, None])

@@ -17,12 +17,13 @@ from palpate.data.synthetic.settings import SceneSettings
 from tests.inference_inputs import write_model
 
 ROOT = Path(__file__).resolve().parents[1]
-BELOW_RESULTS = {"estimators", "models", "data", "physics", "common"}
+BELOW_RESULTS = {"estimators", "observations", "models", "data", "physics", "common"}
 FLOORS = {
     "common": set(),
     "physics": {"common"},
     "data": {"physics", "common"},
     "models": {"physics", "common"},
+    "observations": BELOW_RESULTS - {"estimators", "observations"},
     "estimators": BELOW_RESULTS - {"estimators"},
     "planning": BELOW_RESULTS,
     "results": BELOW_RESULTS,

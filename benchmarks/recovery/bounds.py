@@ -44,7 +44,7 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
     # Of what lies so many rows and columns away, as far as the sequence shows that.
     change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
-    recentred = dataclasses.replace(truth, sequence=dataclasses.replace(sequence, change=change))
+    recentred = truth.having(depth=dataclasses.replace(sequence, change=change))
     kind = PressMotion if motion.shape == PressShape() else PatchMotion
     problem = SequenceProblem(recentred, MECHANICS, within, kind=kind)
     problem.look(_all(problem, logs, motion))
@@ -71,7 +71,7 @@ def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[I
     press = Press.at(scene.vertex, scene.direction, held(seconds / step, MECHANICS.steps))
     delays = np.array([motion.delay, motion.release_delay])[: 1 + contact.released] / within
     logs = np.concatenate([np.log(np.abs(motion.theta)), delays])
-    return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step, sequence=None), logs, within
+    return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step), logs, within
 
 
 def _all(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.common.robust import median_sd
+from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.light import FINE
+from palpate.data.shading.registration import View
 
 REACH = 7
 """Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
@@ -129,10 +131,13 @@ class ShadingRecorder:
 
     Args:
         rest: light at rest, as of `log_light`.
-        pixel: row and column of the contact [grid pixels].
+        pixel: row and column of the contact in the onset's frame [grid pixels].
+        view: in which the onset's light lies; None = the frame's own, of a camera that stands still.
     """
 
-    def __init__(self, rest: np.ndarray, pixel: np.ndarray) -> None:
+    def __init__(self, rest: np.ndarray, pixel: np.ndarray, view: View | None = None) -> None:
+        pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
+        self._reference = None if view is None else view.reference
         first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
         self._window = tuple(np.ix_(first[0] + np.arange(SIDE), first[1] + np.arange(SIDE)))
         self._inside = (self._window[0] >= 0) & (self._window[0] < rest.shape[0])
@@ -150,8 +155,13 @@ class ShadingRecorder:
         rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape, strict=True))
         return np.where(self._inside, light[rows, columns], np.nan)
 
-    def frame(self, light: np.ndarray) -> np.ndarray | None:
-        """Light around the contact in a frame, as of `ShadingSequence`; None where its gain isn't known."""
+    def frame(self, frame: PreparedFrame) -> np.ndarray | None:
+        """Light around the contact in a frame, as of `ShadingSequence`; None where it or its gain isn't known, or of
+        another reference.
+        """
+        light, view = frame.light, frame.light_view
+        if light is None or (None if view is None else view.reference) != self._reference:
+            return None
         found = slow_change(self._places, light[self._far] - self._far_rest)
         if found is None:
             return None
@@ -159,7 +169,7 @@ class ShadingRecorder:
         self._noise.append(sd)
         return (self._cut(light) - self._middle @ gain).astype(np.float32)
 
-    def sequence(self, times: np.ndarray, light: list[np.ndarray]) -> ShadingSequence:
+    def record(self, times: np.ndarray, light: list[np.ndarray], _: int = 0) -> ShadingSequence:
         """The sequence of some frames, times since the onset [s]."""
         stacked = np.stack(light) if light else np.empty((0, *self._rest.shape), np.float32)
         noise = float(np.median(self._noise)) if self._noise else np.nan

@@ -5,14 +5,14 @@ import dataclasses
 import math
 import time
 from collections import defaultdict, deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future
 
 import numpy as np
 
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import FrameGeometry
-from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
 from palpate.data.shading.light import log_light
@@ -22,6 +22,7 @@ from palpate.estimators.direct.shading_fit import MECHANICS, fit_shading
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import FrameEstimate, InteractionEstimate, Touch
+from palpate.observations.kinds import OBSERVATIONS
 from palpate.physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
@@ -30,6 +31,8 @@ PASSED = "No contact: the instrument moves, and the tissue next to it does not m
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
 NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
+RECORDED = ("depth", "shading")
+"""Observations that are recorded of every run where they can be."""
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 
@@ -37,7 +40,12 @@ class Run:
     """One run of contact; its frames are dropped as they pass, and only their observations are kept."""
 
     def __init__(
-        self, first: PreparedFrame, clip: ClipInfo, seconds: float, rest_light: RestingLight | None = None
+        self,
+        first: PreparedFrame,
+        clip: ClipInfo,
+        seconds: float,
+        rest_light: RestingLight | None = None,
+        observations: Sequence[str] = RECORDED,
     ) -> None:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
@@ -60,8 +68,9 @@ class Run:
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
             found = contact.mesh, contact.vertex, contact.normal, contact.noise
-            first_seen = contact_frame(first)
-            self.builder = InteractionBuilder(*found, first_seen, clip.geometry, seconds, clip.size, rest_light)
+            begun = {name: OBSERVATIONS[name].recorder(first, clip.size, rest_light) for name in observations}
+            recorders = {name: recorder for name, recorder in begun.items() if recorder is not None}
+            self.builder = InteractionBuilder(*found, first, clip.geometry, seconds, recorders)
 
     def note(self, current: PreparedFrame) -> None:
         """Take in the contact probability of a frame within the run or right after it."""
@@ -79,7 +88,7 @@ class Run:
         if current.in_contact:
             self.last = current.frame.index
         if self.builder is not None:
-            self.builder.add(contact_frame(current))
+            self.builder.add(current)
 
     def estimate(self, **results) -> InteractionEstimate:
         """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
@@ -103,10 +112,11 @@ class RunTracker:
     Args:
         clip: the clip.
         seconds: longest motion of a run that counts, from its onset [s].
+        observations: names of those that are recorded.
     """
 
-    def __init__(self, clip: ClipInfo, seconds: float) -> None:
-        self._clip, self._seconds = clip, seconds
+    def __init__(self, clip: ClipInfo, seconds: float, observations: Sequence[str] = RECORDED) -> None:
+        self._clip, self._seconds, self._observations = clip, seconds, observations
         self._light, self._reference = RestingLight(), 0
         """Light at rest, and the number of the picture in whose view it is."""
         self.current: Run | None = None
@@ -134,7 +144,8 @@ class RunTracker:
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
                 return None  # the gap may be flicker
         rest = self._light if len(self._light) else None
-        self.current = Run(frame, self._clip, self._seconds, rest) if frame.in_contact else None
+        what = self._clip, self._seconds, rest, self._observations
+        self.current = Run(frame, *what) if frame.in_contact else None
         return run
 
     def _belongs(self, frame: PreparedFrame, run: Run) -> bool:
@@ -156,9 +167,16 @@ class RunSession:
         clip: the clip.
         mechanics: constants of the estimator's simulator.
         horizon: how much of a whole contact counts.
+        observations: names of those that are recorded of it.
     """
 
-    def __init__(self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None) -> None:
+    def __init__(
+        self,
+        clip: ClipInfo,
+        mechanics: Mechanics,
+        horizon: Horizon = None,
+        observations: Sequence[str] = RECORDED,
+    ) -> None:
         self.clip, self.horizon = clip, horizon
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
@@ -173,7 +191,7 @@ class RunSession:
         self.fitter: Executor | None = None
         """Executor of the fits by shading, for live sources; None = later frames wait for them."""
         self._fits: deque[Future[InteractionEstimate]] = deque()
-        self._runs = RunTracker(clip, self.mechanics.seconds)
+        self._runs = RunTracker(clip, self.mechanics.seconds, observations)
         self._grip: GripRecorder | None = None
 
     @contextlib.contextmanager
@@ -283,22 +301,6 @@ class RunSession:
             NoEstimate: the contact can't be estimated.
         """
         raise NotImplementedError
-
-
-def contact_frame(frame: PreparedFrame) -> ContactFrame:
-    """The part of a prepared frame that its run of contact keeps."""
-    return ContactFrame(
-        frame.frame.time_s,
-        frame.in_contact,
-        frame.out_of_contact,
-        frame.consecutive,
-        frame.track_position,
-        frame.depth,
-        frame.labels,
-        frame.light,
-        frame.light_view,
-        len(frame.skipped),
-    )
 
 
 def frame_estimate(

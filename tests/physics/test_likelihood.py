@@ -68,8 +68,6 @@ def test_what_was_not_seen_does_not_count():
     scale = np.broadcast_to((1 + np.arange(4))[:, None], hidden.shape)[kept]
     np.testing.assert_allclose(around.residual, full.residual[kept.ravel()] / scale, rtol=1e-12)
     np.testing.assert_allclose(around.jacobian, full.jacobian[kept.ravel()] / scale[:, None], rtol=1e-12)
-    path = simulate(theta_of(LOGS + 0.05), MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)[STEPS]
-    np.testing.assert_allclose(likelihood.simulated(LOGS + 0.05), np.swapaxes(path, 0, 1)[kept], rtol=1e-9)
     nothing = Observation(POINTS, TIMES, np.full_like(hidden, np.nan), NOISE)
     assert not Likelihood(MESH, PRESS, nothing, MECHANICS).information(LOGS).any()
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import about_tissue
@@ -27,6 +26,7 @@ from palpate.estimators.direct.problem import (
 from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
 from palpate.estimators.estimate import PressCourse, PressResult
 from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
+from palpate.physics.depth import REACH
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import Mechanics
@@ -66,7 +66,7 @@ def concluded(
         covariance=spread[:3, :3],
         information=information[:3, :3],
         expected_information=trusted,
-        noise=problem.sigma,
+        noise=problem.depth.noise.total,
         misfit=problem.misfit(best.logs),
         largest_misfit=1.5,
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
@@ -155,7 +155,7 @@ def fit_press(
     plain = field_optima(step, tissue)
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
-    misfit, counted = step.misfit(best.logs), step.counted
+    misfit, counted = step.misfit(best.logs), step.depth.counted
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return sampled(step, plain, tissue)
     elsewhere, aside = recentred(step, best.logs)
@@ -179,8 +179,8 @@ def recentred(problem: SequenceProblem, logs: np.ndarray) -> tuple[Interaction, 
     Returns:
         The contact there, and by how many rows and columns it was moved.
     """
-    contact, sequence, side = problem.contact, problem.sequence, 2 * REACH + 1
-    simulated = problem.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
+    contact, sequence, side = problem.contact, problem.contact.observations["depth"], 2 * REACH + 1
+    simulated = problem.depth.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
     wide = np.pad(sequence.change, ((0, 0), (ASIDE, ASIDE), (ASIDE, ASIDE)), constant_values=np.nan)
     pixels, found = contact.mesh.pixels, []
     for row, column in itertools.product(range(-ASIDE, ASIDE + 1), repeat=2):
@@ -193,7 +193,7 @@ def recentred(problem: SequenceProblem, logs: np.ndarray) -> tuple[Interaction, 
             found.append((float(np.square(left).mean()), abs(row) + abs(column), row, column, vertex, change))
     *_, row, column, vertex, change = min(found, key=lambda item: item[:2])
     load, shifted = dataclasses.replace(contact.load, vertices=vertex), dataclasses.replace(sequence, change=change)
-    return dataclasses.replace(contact, load=load, sequence=shifted), (row, column)
+    return dataclasses.replace(contact.having(depth=shifted), load=load), (row, column)
 
 
 def field_starts(problem: SequenceProblem, box: np.ndarray) -> np.ndarray:
@@ -202,20 +202,20 @@ def field_starts(problem: SequenceProblem, box: np.ndarray) -> np.ndarray:
     Tissue is taken to stay in its pixels, which is true of most of a dent.
     """
     low, high = box
-    motion, sequence = problem.motion, problem.sequence
+    motion, depth = problem.motion, problem.depth
     candidates = evenly_spread(low, high)
     candidates[:, motion.centred] = 0
     delays = DELAYS if motion.within else np.zeros(1)
-    observed = problem.observed
-    still = problem.patches.covering(np.zeros((len(sequence.times), len(problem.patches.vertices), 3)))
+    observed = depth.observed
+    still = depth.patches.covering(np.zeros((len(depth.times), len(depth.vertices), 3)))
     misfits = np.empty(len(candidates))
     for index, candidate in enumerate(candidates):
         path, ratio = motion.coarse_path(candidate)
         step = ratio * motion.mechanics.time_step
-        sunk = np.concatenate([np.zeros((1, path.shape[1])), problem.patches.sunk(path.astype(np.float64))])
+        sunk = np.concatenate([np.zeros((1, path.shape[1])), depth.patches.sunk(path.astype(np.float64))])
         since = motion.times - motion.within * delays[:, None]
         places = np.clip(np.rint(since / step), 0, len(path)).astype(np.int64)
-        tried = problem.patches.shown(sunk[places.ravel()], np.tile(still, (len(delays), 1, 1)))
+        tried = depth.patches.shown(sunk[places.ravel()], np.tile(still, (len(delays), 1, 1)))
         tried = tried.reshape(len(delays), *observed.shape)
         forces, unexplained = suiting_forces(tried, observed, np.tile(candidate[2], len(tried)), low[2], high[2])
         best = int(np.argmin(unexplained))
@@ -241,7 +241,7 @@ def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.n
             # Evaluations of a start in a round, after which it is decided anew what the pixels show.
             found = find_optimum(problem, logs, box, 4)
             # What comes out of sight must not seem explained.
-            led.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
+            led.append((found.cost - 0.5 * problem.depth.seen.sum(), found.logs))
         led.sort(key=lambda pair: pair[0])
         starts = np.array([logs for _, logs in led[: len(led) // 2]])
     return starts
@@ -271,10 +271,11 @@ def _sample_field(
 ) -> Draws:
     """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
-    error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)
+    motion, depth = problem.motion, problem.depth
+    error = motion.finer(best.logs) - motion.quick(best.logs)
 
     def log_likelihood(logs: np.ndarray) -> np.ndarray:
-        left = [problem.left(problem.motion.quick(item) + error, item) for item in logs]
+        left = [depth.whitened(depth.change(motion.quick(item) + error, item) - depth.observed) for item in logs]
         return np.array([-0.5 * float(each @ each) / scale for each in left])
 
     return sample_posterior(log_likelihood, box, first_draws(optima, scale, prior))

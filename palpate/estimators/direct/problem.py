@@ -1,6 +1,5 @@
 """One observed contact as a least-squares problem: its likelihood, where to start, what explains it best."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,9 +7,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.motion import Kind, PressMotion
+from palpate.estimators.direct.motion import PressMotion
+from palpate.observations.base import JointLikelihood
+from palpate.observations.point import PointObservation
 from palpate.physics.identifiability import fisher_information
-from palpate.physics.likelihood import LeastSquares, Likelihood, Linearised
+from palpate.physics.likelihood import LeastSquares
 from palpate.physics.mechanics import Mechanics
 
 CANDIDATES = 128
@@ -25,7 +26,7 @@ APART = 0.1
 TOLERANCE = 1e-6
 
 
-class ContactProblem(Likelihood):
+class ContactProblem(JointLikelihood):
     """A contact's likelihood, with coarse simulations to choose starts by.
 
     Args:
@@ -33,18 +34,12 @@ class ContactProblem(Likelihood):
         mechanics: of the fits.
         noise: σ of every observed coordinate [scene units].
         within: as of `PressMotion`: delays of the press are parameters besides φ where it is above 0.
-        kind: of motion: what is fitted of the press.
     """
 
-    def __init__(
-        self, contact: Interaction, mechanics: Mechanics, noise: float, within: float = 0.0, kind: Kind = PressMotion
-    ) -> None:
-        observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
-        super().__init__(contact.mesh, contact.load, observation, mechanics)
-        vertices = np.array([contact.vertex])
-        self.motion = kind(contact, mechanics, vertices, observation.times, within)
-        self.contact, self.sigma = contact, noise
-        self.moved = observation.displacement[0].astype(np.float64)
+    def __init__(self, contact: Interaction, mechanics: Mechanics, noise: float, within: float = 0.0) -> None:
+        observed = PointObservation(contact, noise)
+        super().__init__([observed], lambda vertices, times: PressMotion(contact, mechanics, vertices, times, within))
+        self.moved = contact.moved.astype(np.float64)
         """Observed displacement, shape [N, 3]."""
         self.direction = np.asarray(contact.direction, np.float64)
 
@@ -63,11 +58,6 @@ class ContactProblem(Likelihood):
         """Motion at the observations for all parameters [n, D], with a coarse time step, shape [n, N, 3]."""
         paths = [self.motion.coarse(item)[:, 0] for item in logs]
         return np.array(paths, np.float64).reshape(-1, *self.moved.shape)
-
-    def _linearise(self, logs: np.ndarray) -> Linearised:
-        moved, slopes = (values[:, 0] for values in self.motion.at(logs))
-        residual = (moved - self.moved) / self.sigma
-        return Linearised(residual.ravel(), slopes.reshape(-1, len(logs)) / self.sigma)
 
 
 def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = CANDIDATES) -> np.ndarray:

@@ -1,10 +1,9 @@
 """A contact's brightness fitted from start to verdict: starts, optimum, what it leaves open, estimate."""
 
-import copy
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -13,15 +12,17 @@ from threadpoolctl import threadpool_limits
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
-from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.motion import Kind, PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, distinct, evenly_spread, find_optimum
-from palpate.estimators.direct.shading import OTHERS, ShadingProblem
 from palpate.estimators.estimate import LightFit, NoEstimate, PressCourse, PressResult
+from palpate.observations.base import JointLikelihood
+from palpate.observations.shading import OTHERS, PRIOR_MEAN, ShadingObservation
 from palpate.physics.identifiability import NINETY, box_information
-from palpate.physics.load import PressShape
+from palpate.physics.load import Press, PressShape
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from palpate.physics.msd.simulation import simulate
+from palpate.physics.observation import Observation
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """Its error lies far below the light's noise: half its step changed no logarithm of two clips by more than 0.02."""
@@ -43,20 +44,41 @@ CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
-USUALLY_LEFT, TOGETHER = 0.2, 40.0
-"""Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
-the more wrong is the law; coding errs as much where it is less."""
-LAW_ERROR, SCALE_ERROR = (0.19, 0.3), 0.25
-"""Standard deviations of what law, mesh and coding get wrong: of log k_d/k_s and log F/k_s, and common to all three,
-which inertia alone tells. Twelve synthetic clips are 0.21 and 0.29 off and, in the one that determines k_s, 0.13 there:
-`python -m data.synthetic --clips 12 --frames 32 --seed 47712`, their MP4 by `infer.py --estimator direct`, then
-`python -m benchmarks.compare_with_truth`. Of path-traced clips `python -m benchmarks.path_traced` says it."""
 RADIUS, RISING = 3.0, 0.05
 """Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
 Start = TypeVar("Start")
 Fitted = TypeVar("Fitted")
 WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
+
+
+class ShadingProblem(JointLikelihood):
+    """A brightness sequence under all parameters of a press on a plane.
+
+    Args:
+        contact: with its brightness sequence.
+        mechanics: of the fits.
+        within: as of `PressMotion`.
+        tilt: as of `ShadingObservation`.
+        kind: what is unknown of the press.
+    """
+
+    def __init__(
+        self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
+    ) -> None:
+        shading = ShadingObservation(contact, tilt)
+        sheet, times, self.contact = shading.sheet, shading.times, contact
+        nothing = Observation.of_point(sheet.vertex, times, np.full((len(times), 3), np.nan), np.nan)
+        load = Press.at(sheet.vertex, sheet.normal, contact.load.factor)
+        press = contact.having(point=nothing, depth=None)
+        self.on_plane = dataclasses.replace(press, mesh=sheet.mesh, load=load)
+        """The contact on the plane; none of its points is followed."""
+        super().__init__([shading], lambda vertices, times: kind(self.on_plane, mechanics, vertices, times, within))
+
+    @property
+    def shading(self) -> ShadingObservation:
+        """What is observed."""
+        return self.observations[0]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
@@ -82,9 +104,9 @@ def fit_shading(
     mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
     # Frames with which starts are chosen.
     some = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
-    thin = dataclasses.replace(contact, shading=sequence.chosen(some))
+    thin = contact.having(shading=sequence.chosen(some))
     problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
-    led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
+    led = _on_threads(lambda start: _led(problem.copy(), start, FEW, ROUNDS[0]), _starts(problem))
     if not led:
         raise NoEstimate("The contact is too short to show in the light.")
     logs = min(led, key=lambda found: found[0])[1]
@@ -93,9 +115,9 @@ def fit_shading(
     problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[2])[1]
     # A press on a patch is not tried where a step on a point explains more.
-    if problem.skill < 0.85:
+    if problem.shading.skill < 0.85:
         problem, logs = _patched(problem, logs, some)
-    return problem.press, _concluded(problem, logs), _simulated(problem, logs)
+    return problem.on_plane, _concluded(problem, logs), _simulated(problem, logs)
 
 
 def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple[ShadingProblem, np.ndarray]:
@@ -107,8 +129,8 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
         some: frames by which it is decided whether a patch is worth a fit.
     """
     contact, motion = point.contact, point.motion
-    thin = dataclasses.replace(contact, shading=point.sequence.chosen(some))
-    what = motion.mechanics, point.within, point.sheet.tilt
+    thin = contact.having(shading=point.shading.sequence.chosen(some))
+    what = motion.mechanics, motion.within, point.shading.sheet.tilt
     step, patch = (ShadingProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
     assert isinstance(patch.motion, PatchMotion)
     step.look(logs)
@@ -119,12 +141,12 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
     press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))
     press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
     misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), MORE, 1)
-    if -misfit < step.skill:
+    if -misfit < step.shading.skill:
         return point, logs
     problem = ShadingProblem(contact, *what, PatchMotion)
     misfit, found = _led(problem, found, MORE, ROUNDS[2])
     # A press on a patch is taken where it leaves less than this share of what a step on a point leaves.
-    return (problem, found) if 1 + misfit < 0.8 * (1 - point.skill) else (point, logs)
+    return (problem, found) if 1 + misfit < 0.8 * (1 - point.shading.skill) else (point, logs)
 
 
 def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list[Fitted]:
@@ -135,33 +157,38 @@ def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list
 
 def _simulated(problem: ShadingProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times since the onset, and the contact's simulated displacement along the force, [T] each."""
-    motion, press, step = problem.motion, problem.press, problem.motion.mechanics.time_step
+    motion, press, step = problem.motion, problem.on_plane, problem.motion.mechanics.time_step
     load = motion.load(logs[:-OTHERS], step, motion.longest)
     path = simulate(motion.theta(logs), press.mesh, load, motion.mechanics, watch=np.array([press.vertex]))[:, 0]
     times = motion.within * logs[motion.delays.start] + step * np.arange(len(path) + 1)
     return times, np.concatenate([[0.0], path @ press.direction])
 
 
+def _start(press: np.ndarray, aside: np.ndarray, tilt: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
+    """All parameters from those of a press, where its dent lies and how tissue tilts; the others as in their priors."""
+    return np.concatenate([press, aside, tilt, PRIOR_MEAN[4:]])
+
+
 def _starts(problem: ShadingProblem) -> np.ndarray:
     """All parameters of presses that explain the light best, among many, shape [S, D]."""
     low, high = problem.box(TISSUE)
-    middle = problem.darkest()
+    middle = problem.shading.darkest()
     found, misfits = [], []
 
     def tried(start: np.ndarray, moved: np.ndarray) -> float:
-        left = problem.compared(problem.predicted(start, moved)[0])[0]
+        left = problem.shading.compared(problem.shading.predicted(start, moved)[0])[0]
         return float(np.square(np.clip(left, -CLIPPED, CLIPPED)).sum())
 
     # Points of a Sobol sequence over the box among which the starts are chosen.
     for candidate in evenly_spread(*TISSUE, 64):
         press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
         moved = problem.motion.coarse(press)
-        largest = np.linalg.norm(moved, axis=-1).max() / problem.sheet.distance
+        largest = np.linalg.norm(moved, axis=-1).max() / problem.shading.sheet.distance
         for depth in DEPTHS:
             factor = depth / max(largest, 1e-12)
             force = press[2] + math.log(factor)
             if TISSUE[0, 2] < force < TISSUE[1, 2]:
-                start = problem.start(np.concatenate([press[:2], [force], press[3:]]), middle)
+                start = _start(np.concatenate([press[:2], [force], press[3:]]), middle)
                 found.append(start)
                 misfits.append(tried(start, factor * moved))
     # Fits, begun at the candidates that explain the light best.
@@ -170,7 +197,7 @@ def _starts(problem: ShadingProblem) -> np.ndarray:
 
     def placed(start: np.ndarray) -> np.ndarray:
         moved = problem.motion.coarse(start[:-OTHERS])
-        starts = [problem.start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
+        starts = [_start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
         left = np.array([tried(each, moved) for each in starts])
         # A tilt is taken where it leaves less than this share of what is left without one.
         left[: len(places)] *= 0.9
@@ -187,33 +214,24 @@ def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: in
         problem.look(logs)
         logs = find_optimum(problem, logs, box, evaluations, FALL).logs
     problem.look(logs)
-    return -problem.skill, logs
+    return -problem.shading.skill, logs
 
 
 def _concluded(problem: ShadingProblem, logs: np.ndarray) -> PressResult:
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
-    box, motion = problem.box(TISSUE), problem.motion
+    box, motion, shading = problem.box(TISSUE), problem.motion, problem.shading
     prior = box_information(box)
     low, high = box[0] + 1e-9, box[1] - 1e-9
     starts = [np.clip(np.concatenate([logs[:3] + step, logs[3:]]), low, high) for step in (0.0, *FIRMER)]
-    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, box, FEW, FALL), starts)
+    optima = _on_threads(lambda start: find_optimum(problem.copy(), start, box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
-    # What the law gets wrong, and what coding leaves out, shows in the share left and in correlated residuals.
-    left = max((1 - problem.skill) / USUALLY_LEFT, 1.0) ** 2
-    wrong = left * max(problem.together / TOGETHER, 1.0)
-    model_error = wrong * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
-    refuted = ""
-    # A press that leaves a larger share of the change of light, root mean square, is no explanation.
-    if problem.skill < 0.6:
-        refuted = (
-            f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
-        )
+    unexplained = f"A press leaves {1 - shading.skill:.0%} of how the tissue's brightness changes"
     return PressResult(
         theta=motion.theta(mean),
-        covariance=covariance[:3, :3] + model_error,
+        covariance=covariance[:3, :3] + shading.law_covariance,
         information=about_tissue(best.information, prior),
-        noise=problem.noise,
-        misfit=problem.noise / max(problem.sequence.noise, 1e-9),
+        noise=shading.noise,
+        misfit=shading.noise / max(shading.sequence.noise, 1e-9),
         at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
         course=PressCourse(
             *(motion.within * best.logs[motion.delays]).tolist(),
@@ -221,7 +239,8 @@ def _concluded(problem: ShadingProblem, logs: np.ndarray) -> PressResult:
             shape=motion.shape(mean[:-OTHERS]),
         ),
         light=LightFit(
-            1 - problem.skill, float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0
+            1 - shading.skill, float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0
         ),
-        refuted=refuted,
+        # A press that leaves a larger share of the change of light, root mean square, is no explanation.
+        refuted=f"{unexplained}, so it isn't explained." if shading.skill < 0.6 else "",
     )

@@ -13,7 +13,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from palpate.data.contact.depth_sequence import smooth_errors
 from palpate.data.contact.features import FRAME_RATE, SLOTS, contact_surroundings, join_features, slot_times
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import (
@@ -28,6 +27,7 @@ from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import ContactProblem, find_optimum
+from palpate.physics.depth import smooth_errors
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
@@ -150,8 +150,9 @@ def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:
     best, rms = _explained(problem, start)
     field = SequenceProblem(contact, MECHANICS, within, NOMINAL_NOISE)
     field.look(best)
-    tangent = np.where(field.seen[..., None], field.tangent(best)[1], 0.0)
-    change = np.where(field.seen, field.observed, np.nan)
+    depth = field.depth
+    tangent = np.where(depth.seen[..., None], depth.tangent(*field.motion.at(best)), 0.0)
+    change = np.where(depth.seen, depth.observed, np.nan)
     amounts, factors = shape_amounts(change)
     slopes = np.einsum("tij,tkj,pk,tpd->tid", factors, factors, dent_shapes(), tangent)
     middle = -(motion_in_sequence(contact).astype(np.float64) @ contact.direction)

@@ -66,7 +66,9 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
             "that the data preparation prints."
         )
     records = sorted(records, key=lambda record: (record["clip"], record["frame"]))
-    contacts = [Interaction(one["mesh"], one["load"], one["observation"], mechanics.time_step) for one in records]
+    contacts = [
+        Interaction(one["mesh"], one["load"], {"point": one["observation"]}, mechanics.time_step) for one in records
+    ]
     names = "theta", "trajectory", "reference_trajectory"
     theta, predicted, reference = (np.array([record[name] for record in records], float) for name in names)
     frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()])

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct import contact_fit
 from palpate.estimators.direct.contact_fit import field_optima, field_starts, first_draws, raced, sampled
@@ -13,6 +12,7 @@ from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.problem import APART, Optimum
 from palpate.estimators.direct.sampling import sample_posterior
 from palpate.estimators.estimate import PressResult
+from palpate.physics.depth import REACH
 from palpate.physics.identifiability import box_information, covariance
 from palpate.physics.mechanics import RECOMMENDED, Bounds
 from tests.estimators.direct import test_field as dents
@@ -49,7 +49,7 @@ def test_starts_are_the_candidates_that_explain_the_sequence_best() -> None:
     for start in starts:
         problem.look(start)
         costs.append(np.square(problem.residual(start)).sum())
-    assert costs[0] < 0.1 * np.square(problem.whitened(problem.observed)).sum()
+    assert costs[0] < 0.1 * np.square(problem.depth.whitened(problem.depth.observed)).sum()
 
 
 def test_starts_have_the_delay_that_suits_them() -> None:

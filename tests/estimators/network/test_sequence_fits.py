@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import REACH, smooth_errors
 from palpate.data.contact.features import SLOTS
 from palpate.data.contact.sequence_features import SHAPES, dent_shapes, motion_in_sequence, shape_amounts
 from palpate.data.synthetic.contacts import draw_contacts, hidden_by_tool
@@ -11,6 +10,7 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.network import fits
 from palpate.estimators.network.fits import FRAME_S, MECHANICS, PARAMETERS, DepthSequences, draw_sequence_errors
+from palpate.physics.depth import REACH, smooth_errors
 
 PIXELS = (2 * REACH + 1) ** 2
 

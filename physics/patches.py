@@ -8,10 +8,12 @@ what they show.
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from palpate.data.contact.depth_sequence import REACH
 from palpate.physics.jit import inlined, kernel
 from palpate.physics.mesh import Mesh, focal_length
 
+REACH = 7
+"""Pixels up to so many rows and columns from the contact are compared: of nine simulated contacts, those up to 6 away
+held all but a twentieth of what all determine, those up to 8 all but a hundredth."""
 MAX_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""
 ITERATIONS = 12

@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from os.path import isdir, isfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ from palpate.physics.mesh import Mesh
 ENTRY_FILE = re.compile(rf"(clip|\d+)\.npz|{re.escape(LIST)}")
 """Pattern of the names of an entry's files."""
 AS_PREPARED = (
-    "status", "out_of_contact", "consecutive", "displacement", "backward", "rigid", "track_start", "track_position",
+    "status", "out_of_contact", "consecutive", "displacement", "backward", "rigid", "track_start", "track_position"
 )  # fmt: skip
 """Values of a frame that are stored by their own names."""
 NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction"))
@@ -154,6 +155,15 @@ class PreparedClip:
         with np.load(_frame_file(self.folder, index)) as stored:
             return stored["labels"]
 
+    def frame(self, index: int, whole: bool) -> Any:
+        """What a run of contact keeps of a frame, named as in `PreparedFrame`; depth and labels are None unless
+        `whole`.
+        """
+        depth, labels = (self.depth(index), self.labels(index)) if whole else (None, None)
+        same = {name: getattr(self, name)[index] for name in ("out_of_contact", "consecutive", "track_position")}
+        known = {"time_s": float(self.times[index]), "in_contact": bool(self.contact[index]), "skipped": ()}
+        return SimpleNamespace(**same, **known, depth=depth, labels=labels)
+
     def mesh(self, index: int) -> Mesh:
         """Tissue mesh of a frame in contact.
 
@@ -166,45 +176,6 @@ class PreparedClip:
             parts: dict[str, Any] = {field.name: stored[field.name] for field in dataclasses.fields(Mesh)}
         parts["grid_shape"] = tuple(parts["grid_shape"].tolist())
         return Mesh(**parts)
-
-
-@dataclass(frozen=True)
-class StoredFrame:
-    """A frame of a prepared clip with what a run of contact keeps, named as in `PreparedFrame`."""
-
-    clip: PreparedClip
-    index: int
-    whole: bool
-    """Whether it has depth and labels, which are read when they are asked for."""
-    skipped = ()
-
-    @property
-    def time_s(self) -> float:
-        return float(self.clip.times[self.index])
-
-    @property
-    def in_contact(self) -> bool:
-        return bool(self.clip.contact[self.index])
-
-    @property
-    def out_of_contact(self) -> bool:
-        return bool(self.clip.out_of_contact[self.index])
-
-    @property
-    def consecutive(self) -> bool:
-        return bool(self.clip.consecutive[self.index])
-
-    @property
-    def track_position(self) -> np.ndarray:
-        return self.clip.track_position[self.index]
-
-    @property
-    def depth(self) -> np.ndarray | None:
-        return self.clip.depth(self.index) if self.whole else None
-
-    @property
-    def labels(self) -> np.ndarray | None:
-        return self.clip.labels(self.index) if self.whole else None
 
 
 class CacheEntry:

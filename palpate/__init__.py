@@ -31,5 +31,5 @@ __getattr__, __dir__, __all__ = exported(
         "palpate.physics.mechanics": ("Mechanics",),
         "palpate.physics.msd.rollouts": ("rollout",),
         "palpate.physics.msd.simulation": ("simulate",),
-    },
+    }
 )

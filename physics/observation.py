@@ -38,17 +38,20 @@ class CommonErrors:
     """Normal errors that values share besides independent ones of variance 1.
 
     Args:
-        columns: what a standard deviation of each of M errors adds to K values, shape [K, M].
+        columns: what a standard deviation of each of M errors adds to K values, shape [..., K, M].
     """
 
     def __init__(self, columns: np.ndarray) -> None:
-        self._columns = columns
-        self._factor = np.linalg.cholesky(columns.T @ columns + np.eye(columns.shape[1]))
+        self._columns, self._rows = columns, columns.swapaxes(-1, -2)
+        self._factor = np.linalg.cholesky(self._rows @ columns + np.eye(columns.shape[-1]))
 
     def marginalised(self, values: np.ndarray) -> np.ndarray:
-        """Whiten values [K, D]: products of the result [K + M, D] are those by the inverse of the whole covariance."""
-        common = np.linalg.solve(self._factor.T, np.linalg.solve(self._factor, self._columns.T @ values))
-        return np.concatenate([values - self._columns @ common, common])
+        """Whiten values [..., K, D]: products of the result [..., K + M, D] are those by the whole covariance's
+        inverse.
+        """
+        common = np.linalg.solve(self._factor, self._rows @ values)
+        common = np.linalg.solve(self._factor.swapaxes(-1, -2), common)
+        return np.concatenate([values - self._columns @ common, common], axis=-2)
 
 
 @dataclass(frozen=True, eq=False)

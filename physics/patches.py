@@ -152,19 +152,6 @@ class Patches:
         inverse = np.linalg.inv(np.eye(2) + np.nan_to_num(gradient[..., 1:, :]))
         return np.nan_to_num(-np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting))
 
-    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Change of every pixel's depth since rest, and its derivatives, with what it shows decided at this motion.
-
-        Args:
-            moved, slopes: displacements [N, V, 3] and their derivatives [N, V, 3, D].
-
-        Returns:
-            Shapes [N, P] and [N, P, D]; not a number where a pixel shows nothing known.
-        """
-        covering = self.covering(moved)
-        tangent = self.shown(self.sunk_slopes(moved, slopes), covering) + self.turning(moved, slopes)
-        return self.shown(self.sunk(moved), covering), tangent
-
     def steepness(self, moved: np.ndarray) -> np.ndarray:
         """How much its neighbours differ from a pixel, where it is the mean of several, at displacements [N, V, 3].
 

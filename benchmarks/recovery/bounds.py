@@ -15,10 +15,11 @@ from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
-from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import dent_problem
 from palpate.estimators.onset import BETWEEN
+from palpate.observations.base import JointLikelihood
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import RECOMMENDED
@@ -46,7 +47,7 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
     recentred = truth.having(depth=dataclasses.replace(sequence, change=change))
     kind = PressMotion if motion.shape == PressShape() else PatchMotion
-    problem = SequenceProblem(recentred, MECHANICS, within, kind=kind)
+    problem = dent_problem(recentred, MECHANICS, within, kind=kind)
     problem.look(_all(problem, logs, motion))
     return _of_tissue(problem, logs, motion)
 
@@ -74,13 +75,13 @@ def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[I
     return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step), logs, within
 
 
-def _all(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
+def _all(problem: JointLikelihood, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
     """True parameters of a problem, from φ and the delays."""
     press = problem.motion
     return press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
 
 
-def _of_tissue(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
+def _of_tissue(problem: JointLikelihood, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
     """Information of log θ and both delays at the truth, shape [5, 5], the press's shape being unknown.
 
     Of the second delay nothing is known where the release was not observed.

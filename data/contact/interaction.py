@@ -14,7 +14,6 @@ from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 
-from palpate.data.cache import StoredFrame
 from palpate.data.contact.geometry import GeometrySettings, force_direction
 from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.sequence import ShadingSequence
@@ -160,7 +159,7 @@ class PointRecorder:
     def __init__(self, vertex: int, rest: np.ndarray, noise: float) -> None:
         self._vertex, self._rest, self._noise = vertex, rest, noise
 
-    def frame(self, frame: PreparedFrame | StoredFrame) -> np.ndarray | None:
+    def frame(self, frame: PreparedFrame) -> np.ndarray | None:
         """Displacement, shape [3]; None where the tissue is lost."""
         position = np.asarray(frame.track_position, np.float32)
         return position - self._rest if np.isfinite(position).all() else None
@@ -188,7 +187,7 @@ class InteractionBuilder:
         vertex: int,
         normal: np.ndarray,
         noise: float,
-        onset: PreparedFrame | StoredFrame,
+        onset: PreparedFrame,
         settings: GeometrySettings,
         seconds: float,
         recorders: Mapping[str, Recorder] = {},
@@ -213,7 +212,7 @@ class InteractionBuilder:
         self._added: dict[str, list[tuple[int, float, Any]]] = {name: [] for name in self._recorders}
         """What frames added, with their numbers and times since the onset [s]."""
 
-    def add(self, frame: PreparedFrame | StoredFrame) -> None:
+    def add(self, frame: PreparedFrame) -> None:
         """The next frame."""
         index, since = self._count, frame.time_s - self.start
         self._count += 1

@@ -6,12 +6,12 @@ No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1).
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from palpate.common.settings import LARGEST, Checked, NotNegative
-from palpate.data.cache import PreparedClip, StoredFrame
+from palpate.data.cache import PreparedClip
 from palpate.data.contact.depth_sequence import SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
 from palpate.data.contact.interaction import Interaction, InteractionBuilder
@@ -140,8 +140,8 @@ def builder_of(
         sequence_until: index of the last frame of the depth-change sequence; None = keep no sequence.
     """
 
-    def frame_of(index: int) -> StoredFrame:
-        return StoredFrame(clip, index, sequence_until is not None and index <= sequence_until)
+    def frame_of(index: int) -> Any:
+        return clip.frame(index, sequence_until is not None and index <= sequence_until)
 
     found = clip.mesh(onset), int(clip.vertex[onset])
     noise, first = float(clip.noise[onset]), frame_of(onset)

@@ -171,11 +171,7 @@ class RunSession:
     """
 
     def __init__(
-        self,
-        clip: ClipInfo,
-        mechanics: Mechanics,
-        horizon: Horizon = None,
-        observations: Sequence[str] = RECORDED,
+        self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, observations: Sequence[str] = RECORDED
     ) -> None:
         self.clip, self.horizon = clip, horizon
         self.mechanics = mechanics.matched(1 / clip.fps)

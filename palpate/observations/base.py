@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -29,29 +28,22 @@ class Parameter(NamedTuple):
     """Smallest value."""
 
 
-@dataclass(frozen=True, eq=False)
 class Series:
-    """Record of one value a frame."""
+    """Record of one value a frame, and the recorder of what a function gives for each; None = nothing.
 
-    times: np.ndarray
-    """Since the onset, shape [N] [s]."""
-    values: np.ndarray
-    """Shape [N, …]."""
+    `times` are those since the onset, shape [N] [s]; `values` have shape [N, …].
+    """
 
-    def chosen(self, instants: np.ndarray) -> Series:
-        """As of `Record`."""
-        return Series(self.times[instants], self.values[instants])
-
-
-class SeriesRecorder:
-    """Recorder of what a function gives for each frame; None = nothing."""
-
-    def __init__(self, frame: Callable[[PreparedFrame], Any]) -> None:
-        self.frame = frame
+    def __init__(self, frame: Callable[[PreparedFrame], Any], times: Any = (), values: Any = ()) -> None:
+        self.frame, self.times, self.values = frame, np.array(times), np.array(values)
 
     def record(self, times: np.ndarray, values: list[Any], _: int) -> Series:
         """As of `Recorder`."""
-        return Series(times, np.array(values))
+        return Series(self.frame, times, values)
+
+    def chosen(self, instants: np.ndarray) -> Series:
+        """As of `Record`."""
+        return Series(self.frame, self.times[instants], self.values[instants])
 
 
 class Observation:
@@ -66,8 +58,6 @@ class Observation:
     vertices: np.ndarray
     """Whose motion is needed, shape [V]."""
     nuisance: Sequence[Parameter] = ()
-    needs_slopes: bool = False
-    """Whether `look` needs derivatives of the motion."""
 
     def __init__(self, contact: Interaction) -> None:
         self.contact = contact
@@ -86,9 +76,9 @@ class Observation:
             size: width and height of the pictures [px].
             rest: light before contact, where it is known.
         """
-        return SeriesRecorder(lambda frame: cls.shown(frame, onset))
+        return Series(lambda frame: cls.shown(frame, onset))
 
-    def look(self, moved: np.ndarray, slopes: Any, logs: np.ndarray, *, outliers: bool = False) -> None:
+    def look(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray, *, outliers: bool = False) -> None:
         """Decide near the best motion what is then kept; arguments as of `linearise`.
 
         Args:
@@ -109,8 +99,9 @@ class Observation:
         slopes = np.zeros((*moved.shape, len(logs) - len(self.nuisance)))
         return float(np.sqrt(np.square(self.linearise(moved, slopes, logs).residual).mean()))
 
-    def features(self, within: float) -> np.ndarray:
-        """Return the input of a network, a vector.
+    @staticmethod
+    def features(contact: Interaction, within: float) -> np.ndarray:
+        """Return what networks are given of a contact, a vector.
 
         Args:
             within: the press began, and ended, at most so long before or after the time stamps [s].
@@ -138,8 +129,14 @@ class JointLikelihood(LeastSquares):
             for each in observations
         ]
         self._nuisance = [parameter for each in observations for parameter in each.nuisance]
+        self._last: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
         self.offset: np.ndarray | float = 0.0
         """Error of the simulator's own steps, subtracted from all displacements, shape [N, V, 3] [scene units]."""
+
+    @property
+    def first(self) -> Any:
+        """The first of the observations."""
+        return self.observations[0]
 
     def press(self, logs: np.ndarray) -> np.ndarray:
         """Parameters of the motion alone, shape [D]."""
@@ -156,7 +153,7 @@ class JointLikelihood(LeastSquares):
 
     def misfit(self, logs: np.ndarray) -> float:
         """Largest misfit of the observations."""
-        moved = self.motion.at(self.press(logs))[0] + self.offset
+        moved = self._moved(logs)[0] + self.offset
         return max(each.misfit(moved[place], logs[own]) for each, place, own in self._each(logs))
 
     def _each(self, logs: np.ndarray) -> Iterator[tuple[Any, Any, np.ndarray]]:
@@ -174,19 +171,21 @@ class JointLikelihood(LeastSquares):
             finer: whether the error of the simulator's steps is measured there, and subtracted from now on.
             outliers: whether values that lie far from that motion count less from now on.
         """
-        press, slopes = self.press(logs), None
-        if any(each.needs_slopes for each in self.observations):
-            moved, slopes = self.motion.at(press)
-        else:
-            moved = self.motion.quick(press)
-        self.offset = self.motion.finer(press) - moved if finer else 0.0
-        moved = moved + self.offset
+        moved, slopes = self._moved(logs)
+        self.offset = self.motion.finer(self.press(logs)) - moved if finer else 0.0
         for each, place, own in self._each(logs):
-            each.look(moved[place], None if slopes is None else slopes[place], logs[own], outliers=outliers)
+            each.look((moved + self.offset)[place], slopes[place], logs[own], outliers=outliers)
         self._known = None
 
+    def _moved(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The motion of some parameters and its derivatives; the last ones are remembered."""
+        press, last = self.press(logs), self._last
+        if last is None or not np.array_equal(press, last[0]):
+            last = self._last = np.array(press), self.motion.at(press)
+        return last[1]
+
     def _linearise(self, logs: np.ndarray) -> Linearised:
-        moved, slopes = self.motion.at(self.press(logs))
+        moved, slopes = self._moved(logs)
         moved, residuals, jacobians = moved + self.offset, [], []
         for each, place, own in self._each(logs):
             found = each.linearise(moved[place], slopes[place], logs[own])
@@ -196,12 +195,14 @@ class JointLikelihood(LeastSquares):
             jacobians.append(jacobian)
         return Linearised(np.concatenate(residuals), np.concatenate(jacobians))
 
-    def copy(self, motion: Any = None) -> Self:
-        """The same, which looks for itself from now on.
-
-        Args:
-            motion: another one of the same parameters.
-        """
+    def copy(self) -> Self:
+        """The same, which looks for itself from now on."""
         found = copy.copy(self)
-        found.observations, found.motion = tuple(map(copy.copy, self.observations)), motion or self.motion
+        found.observations = tuple(map(copy.copy, self.observations))
+        return found
+
+    def coarser(self) -> Self:
+        """The same with larger steps, to search with; it has not looked at anything of its own yet."""
+        found = self.copy()
+        found.motion, found._last = self.motion.coarser(), None
         return found

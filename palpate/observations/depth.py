@@ -21,8 +21,6 @@ class DepthObservation(DepthLikelihood, Observation):
         noise, others: as of `DepthLikelihood`.
     """
 
-    needs_slopes = True
-
     def __init__(self, contact: Interaction, noise: float | None = None, **others: Any) -> None:
         Observation.__init__(self, contact)
         super().__init__(contact.mesh, contact.vertex, contact.observations["depth"], noise, **others)
@@ -34,5 +32,6 @@ class DepthObservation(DepthLikelihood, Observation):
         found = onset.contact
         return SequenceRecorder.of(found.mesh, found.vertex, found.noise, size, onset)
 
-    def features(self, within: float) -> np.ndarray:
-        return dent_features(self.contact, within)
+    @staticmethod
+    def features(contact: Interaction, within: float) -> np.ndarray:
+        return dent_features(contact, within)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.data.contact.features import contact_features
 from palpate.data.contact.interaction import Interaction
 from palpate.observations.base import Observation
 from palpate.physics.observation import Linearised
@@ -26,6 +25,3 @@ class PointObservation(Observation):
 
     def linearise(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray) -> Linearised:
         return self._points.linearise(moved, slopes)
-
-    def features(self, within: float) -> np.ndarray:
-        return contact_features(self.contact)

@@ -10,7 +10,7 @@ amplitude are marginalised. Residuals of neighbours and of successive frames are
 
 import math
 import warnings
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -22,7 +22,9 @@ from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import RestingLight, ShadingRecorder, ShadingSequence
 from palpate.observations.base import Observation, Parameter
 from palpate.observations.lit_sheet import LitSheet, Shown
+from palpate.physics.load import Press
 from palpate.physics.observation import CommonErrors, Linearised
+from palpate.physics.observation import Observation as Points
 
 FREEDOM = 3.0
 """Degrees of freedom of Student's errors: highlights that moved and wrong outlines are no normal errors."""
@@ -86,12 +88,16 @@ class ShadingObservation(Observation):
 
     def __init__(self, contact: Interaction, tilt: np.ndarray | None = None) -> None:
         super().__init__(contact)
-        self.needs_slopes, self._errors = tilt is None, CommonErrors(np.zeros((0, 0)))
+        self._own_mesh, self._errors = tilt is None, CommonErrors(np.zeros((0, 0)))
         self.sequence: ShadingSequence = contact.observations["shading"]
         self.sheet = LitSheet(contact.mesh, contact.vertex, self.sequence.rest, tilt)
         means = [*PRIOR_MEAN[:2], *(self.sheet.tilt if tilt is None else PRIOR_MEAN[2:4]), *PRIOR_MEAN[4:]]
         self.nuisance = [each._replace(mean=mean) for each, mean in zip(NUISANCE, means, strict=True)]
         self.vertices, self.times = self.sheet.vertices, self.sequence.times
+        load = Press.at(self.sheet.vertex, self.sheet.normal, contact.load.factor)
+        nothing = Points.of_point(load.vertex, self.times, np.full((len(self.times), 3), np.nan), np.nan)
+        self.press = replace(contact.having(point=nothing, depth=None), mesh=self.sheet.mesh, load=load)
+        """The contact on the plane; none of its points is followed."""
         self.observed = self.sequence.light.reshape(len(self.times), -1).astype(np.float64)
         """Shape [N, P]."""
         self._inner, rest = self.sheet.inner.ravel(), self.sequence.rest.ravel()
@@ -147,7 +153,7 @@ class ShadingObservation(Observation):
     def linearise(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray) -> Linearised:
         """As of `Observation`, the priors' residuals behind those of the light."""
         both = self._whitened(moved, slopes, logs)
-        if self.needs_slopes:
+        if self._own_mesh:
             both = self._errors.marginalised(both)
         prior = np.zeros((OTHERS, len(logs)))
         prior[:, -OTHERS:] = np.diag(1 / PRIOR_SD)
@@ -182,7 +188,7 @@ class ShadingObservation(Observation):
         variance = self.together * self.noise**2
         return np.where(known, residual, 0.0), np.where(known, self._weight / variance, 0.0)
 
-    def look(self, moved: np.ndarray, slopes: Any, logs: np.ndarray, *, outliers: bool = False) -> None:
+    def look(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray, *, outliers: bool = False) -> None:
         """Measure residuals near the best: their size, which are outliers, how they are correlated."""
         light, law = self.predicted(logs, moved)
         residual = np.where(self._inner, light - self.observed, np.nan)
@@ -208,7 +214,7 @@ class ShadingObservation(Observation):
         left, whole = (np.square(np.clip(np.nan_to_num(part[moving]), -1, 1)).sum() for part in (residual, change))
         self.skill = 1 - math.sqrt(left / whole) if whole > 0 else 0.0
         """1 - error / change of the light where it changes: 0 as if nothing had moved."""
-        if self.needs_slopes:
+        if self._own_mesh:
             by_press = self._whitened(moved, slopes, logs)[:, 1:4]
             self._errors = CommonErrors(by_press @ np.linalg.cholesky(self.law_covariance))
 

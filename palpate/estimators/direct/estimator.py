@@ -1,7 +1,7 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
 The strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust region
-finds what explains the sequence of a dent best (`estimators.direct.field`), as a step on a vertex or as a press of any
+finds what explains the sequence of a dent best (`observations.depth`), as a step on a vertex or as a press of any
 shape (`estimators.direct.patch`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the
 delays of the press (`estimators.direct.motion`). Around these optima the posterior is sampled
 (`estimators.direct.sampling`), with a uniform prior on the box of these: mean and covariance of φ are the estimate.
@@ -82,10 +82,7 @@ class DirectEstimator(Estimator):
     name = "direct"
 
     def __init__(
-        self,
-        settings: DirectSettings = DirectSettings(),
-        mechanics: Mechanics = FITTED,
-        bounds: Bounds = RECOMMENDED,
+        self, settings: DirectSettings = DirectSettings(), mechanics: Mechanics = FITTED, bounds: Bounds = RECOMMENDED
     ) -> None:
         self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
         self.log_box = bounds.log_box

@@ -3,26 +3,26 @@
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
+from palpate.estimators.direct.contact_fit import told
 from palpate.estimators.direct.motion import Kind, PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, distinct, evenly_spread, find_optimum
-from palpate.estimators.estimate import LightFit, NoEstimate, PressCourse, PressResult
+from palpate.estimators.estimate import LightFit, NoEstimate, PressResult
 from palpate.observations.base import JointLikelihood
-from palpate.observations.shading import OTHERS, PRIOR_MEAN, ShadingObservation
+from palpate.observations.shading import OTHERS, ShadingObservation
 from palpate.physics.identifiability import NINETY, box_information
-from palpate.physics.load import Press, PressShape
+from palpate.physics.load import PressShape
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from palpate.physics.msd.simulation import simulate
-from palpate.physics.observation import Observation
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """Its error lies far below the light's noise: half its step changed no logarithm of two clips by more than 0.02."""
@@ -52,33 +52,16 @@ WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
 
 
-class ShadingProblem(JointLikelihood):
-    """A brightness sequence under all parameters of a press on a plane.
+def shading_problem(
+    contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
+) -> JointLikelihood:
+    """A brightness sequence under all parameters of a press on a plane; arguments as of `dent_problem`.
 
     Args:
-        contact: with its brightness sequence.
-        mechanics: of the fits.
-        within: as of `PressMotion`.
         tilt: as of `ShadingObservation`.
-        kind: what is unknown of the press.
     """
-
-    def __init__(
-        self, contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
-    ) -> None:
-        shading = ShadingObservation(contact, tilt)
-        sheet, times, self.contact = shading.sheet, shading.times, contact
-        nothing = Observation.of_point(sheet.vertex, times, np.full((len(times), 3), np.nan), np.nan)
-        load = Press.at(sheet.vertex, sheet.normal, contact.load.factor)
-        press = contact.having(point=nothing, depth=None)
-        self.on_plane = dataclasses.replace(press, mesh=sheet.mesh, load=load)
-        """The contact on the plane; none of its points is followed."""
-        super().__init__([shading], lambda vertices, times: kind(self.on_plane, mechanics, vertices, times, within))
-
-    @property
-    def shading(self) -> ShadingObservation:
-        """What is observed."""
-        return self.observations[0]
+    shading = ShadingObservation(contact, tilt)
+    return JointLikelihood([shading], partial(kind, shading.press, mechanics, within=within))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
@@ -105,22 +88,22 @@ def fit_shading(
     # Frames with which starts are chosen.
     some = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
     thin = contact.having(shading=sequence.chosen(some))
-    problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
+    problem = shading_problem(thin, mechanics, within, np.zeros(2))
     led = _on_threads(lambda start: _led(problem.copy(), start, FEW, ROUNDS[0]), _starts(problem))
     if not led:
         raise NoEstimate("The contact is too short to show in the light.")
     logs = min(led, key=lambda found: found[0])[1]
-    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    problem = shading_problem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
-    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    problem = shading_problem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[2])[1]
     # A press on a patch is not tried where a step on a point explains more.
-    if problem.shading.skill < 0.85:
+    if problem.first.skill < 0.85:
         problem, logs = _patched(problem, logs, some)
-    return problem.on_plane, _concluded(problem, logs), _simulated(problem, logs)
+    return problem.first.press, _concluded(problem, logs), _simulated(problem, logs)
 
 
-def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple[ShadingProblem, np.ndarray]:
+def _patched(point: JointLikelihood, logs: np.ndarray, some: np.ndarray) -> tuple[JointLikelihood, np.ndarray]:
     """A press on a patch, in any direction, whose force rises and falls, where it explains clearly more; else the step.
 
     Args:
@@ -128,10 +111,10 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
         logs: that explain the light best, shape [D].
         some: frames by which it is decided whether a patch is worth a fit.
     """
-    contact, motion = point.contact, point.motion
-    thin = contact.having(shading=point.shading.sequence.chosen(some))
-    what = motion.mechanics, motion.within, point.shading.sheet.tilt
-    step, patch = (ShadingProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
+    contact, motion = point.first.contact, point.motion
+    thin = contact.having(shading=point.first.sequence.chosen(some))
+    what = motion.mechanics, motion.within, point.first.sheet.tilt
+    step, patch = (shading_problem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
     assert isinstance(patch.motion, PatchMotion)
     step.look(logs)
     deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
@@ -141,12 +124,12 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
     press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))
     press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
     misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), MORE, 1)
-    if -misfit < step.shading.skill:
+    if -misfit < step.first.skill:
         return point, logs
-    problem = ShadingProblem(contact, *what, PatchMotion)
+    problem = shading_problem(contact, *what, PatchMotion)
     misfit, found = _led(problem, found, MORE, ROUNDS[2])
     # A press on a patch is taken where it leaves less than this share of what a step on a point leaves.
-    return (problem, found) if 1 + misfit < 0.8 * (1 - point.shading.skill) else (point, logs)
+    return (problem, found) if 1 + misfit < 0.8 * (1 - point.first.skill) else (point, logs)
 
 
 def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list[Fitted]:
@@ -155,40 +138,42 @@ def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list
         return list(pool.map(fit, starts))
 
 
-def _simulated(problem: ShadingProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _simulated(problem: JointLikelihood, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times since the onset, and the contact's simulated displacement along the force, [T] each."""
-    motion, press, step = problem.motion, problem.on_plane, problem.motion.mechanics.time_step
+    motion, press, step = problem.motion, problem.first.press, problem.motion.mechanics.time_step
     load = motion.load(logs[:-OTHERS], step, motion.longest)
     path = simulate(motion.theta(logs), press.mesh, load, motion.mechanics, watch=np.array([press.vertex]))[:, 0]
     times = motion.within * logs[motion.delays.start] + step * np.arange(len(path) + 1)
     return times, np.concatenate([[0.0], path @ press.direction])
 
 
-def _start(press: np.ndarray, aside: np.ndarray, tilt: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
+def _start(problem: JointLikelihood, press: np.ndarray, *aside_and_tilt: Any) -> np.ndarray:
     """All parameters from those of a press, where its dent lies and how tissue tilts; the others as in their priors."""
-    return np.concatenate([press, aside, tilt, PRIOR_MEAN[4:]])
+    start, given = problem.started(press), np.concatenate(aside_and_tilt)
+    start[len(press) : len(press) + len(given)] = given
+    return start
 
 
-def _starts(problem: ShadingProblem) -> np.ndarray:
+def _starts(problem: JointLikelihood) -> np.ndarray:
     """All parameters of presses that explain the light best, among many, shape [S, D]."""
     low, high = problem.box(TISSUE)
-    middle = problem.shading.darkest()
+    middle = problem.first.darkest()
     found, misfits = [], []
 
     def tried(start: np.ndarray, moved: np.ndarray) -> float:
-        left = problem.shading.compared(problem.shading.predicted(start, moved)[0])[0]
+        left = problem.first.compared(problem.first.predicted(start, moved)[0])[0]
         return float(np.square(np.clip(left, -CLIPPED, CLIPPED)).sum())
 
     # Points of a Sobol sequence over the box among which the starts are chosen.
     for candidate in evenly_spread(*TISSUE, 64):
         press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
         moved = problem.motion.coarse(press)
-        largest = np.linalg.norm(moved, axis=-1).max() / problem.shading.sheet.distance
+        largest = np.linalg.norm(moved, axis=-1).max() / problem.first.sheet.distance
         for depth in DEPTHS:
             factor = depth / max(largest, 1e-12)
             force = press[2] + math.log(factor)
             if TISSUE[0, 2] < force < TISSUE[1, 2]:
-                start = _start(np.concatenate([press[:2], [force], press[3:]]), middle)
+                start = _start(problem, np.concatenate([press[:2], [force], press[3:]]), middle)
                 found.append(start)
                 misfits.append(tried(start, factor * moved))
     # Fits, begun at the candidates that explain the light best.
@@ -197,7 +182,7 @@ def _starts(problem: ShadingProblem) -> np.ndarray:
 
     def placed(start: np.ndarray) -> np.ndarray:
         moved = problem.motion.coarse(start[:-OTHERS])
-        starts = [_start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
+        starts = [_start(problem, start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
         left = np.array([tried(each, moved) for each in starts])
         # A tilt is taken where it leaves less than this share of what is left without one.
         left[: len(places)] *= 0.9
@@ -206,7 +191,7 @@ def _starts(problem: ShadingProblem) -> np.ndarray:
     return np.array(_on_threads(placed, chosen))
 
 
-def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
+def _led(problem: JointLikelihood, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
     """How badly parameters explain the light that some rounds of fits lead to, and those parameters."""
     box = problem.box(TISSUE)
     for _ in range(rounds):
@@ -214,30 +199,26 @@ def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: in
         problem.look(logs)
         logs = find_optimum(problem, logs, box, evaluations, FALL).logs
     problem.look(logs)
-    return -problem.shading.skill, logs
+    return -problem.first.skill, logs
 
 
-def _concluded(problem: ShadingProblem, logs: np.ndarray) -> PressResult:
+def _concluded(problem: JointLikelihood, logs: np.ndarray) -> PressResult:
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
-    box, motion, shading = problem.box(TISSUE), problem.motion, problem.shading
+    box, shading = problem.box(TISSUE), problem.first
     prior = box_information(box)
     low, high = box[0] + 1e-9, box[1] - 1e-9
     starts = [np.clip(np.concatenate([logs[:3] + step, logs[3:]]), low, high) for step in (0.0, *FIRMER)]
     optima = _on_threads(lambda start: find_optimum(problem.copy(), start, box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
     unexplained = f"A press leaves {1 - shading.skill:.0%} of how the tissue's brightness changes"
+    known = told(problem, mean, best, box, best.logs)
+    known["course"] = dataclasses.replace(known["course"], view_angle=None)
     return PressResult(
-        theta=motion.theta(mean),
+        **known,
         covariance=covariance[:3, :3] + shading.law_covariance,
         information=about_tissue(best.information, prior),
         noise=shading.noise,
         misfit=shading.noise / max(shading.sequence.noise, 1e-9),
-        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
-        course=PressCourse(
-            *(motion.within * best.logs[motion.delays]).tolist(),
-            at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
-            shape=motion.shape(mean[:-OTHERS]),
-        ),
         light=LightFit(
             1 - shading.skill, float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0
         ),

@@ -15,7 +15,7 @@ from palpate.data.synthetic.contacts import draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.training.batches import SampleDataset, collate, dent_of
 from palpate.data.training.samples import SampleSettings, list_frames, make_sample
-from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.problem import dent_problem
 from palpate.models.losses import posterior_physics_loss
 from palpate.physics.depth import REACH, SequenceNoise
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
@@ -113,7 +113,7 @@ def test_training_and_the_direct_fit_have_one_likelihood(fine: bool) -> None:
     sequence = replace(contact.sequence, change=contact.sequence.change + drawn, noise=SequenceNoise(1e-3, 0.0))
     contact = contact.having(depth=sequence, point=contact.observation.moved(contact.moved, 1e-3))
     logs = np.log(np.abs(theta)) + np.array([0.1, -0.05, 0.1])
-    problem = SequenceProblem(contact, MECHANICS)
+    problem = dent_problem(contact, MECHANICS)
     problem.look(logs)
     jacobian = problem.jacobian(logs)
     mean, box = torch.from_numpy(logs)[None], (torch.from_numpy(ends) for ends in RECOMMENDED.log_box)

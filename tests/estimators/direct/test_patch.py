@@ -7,9 +7,9 @@ import pytest
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import fit_press
-from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import dent_problem
 from palpate.physics.depth import DepthSequence, SequenceNoise
 from palpate.physics.load import Press, PressShape
 from palpate.physics.mechanics import RECOMMENDED
@@ -120,11 +120,11 @@ def test_a_press_of_any_shape_is_found_with_its_tissue() -> None:
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     """As random errors of that kind, drawn; where a pixel of the grid is one of the picture nothing is."""
     random, frames = np.random.default_rng(3), len(TIMES)
-    problem = SequenceProblem(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
+    problem = dent_problem(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
     rows, columns = np.mgrid[:SIDE, :SIDE]
     depth = 0.02 * np.exp(-((rows - 6.5) ** 2 + (columns - 8.0) ** 2) / 18)
     sunk = np.linspace(0.2, 1, frames)[:, None, None] * depth
-    found = problem.depth._model_errors(sunk.reshape(frames, -1)).transpose(1, 0, 2).reshape(frames * SIDE**2, -1)
+    found = problem.first._model_errors(sunk.reshape(frames, -1)).transpose(1, 0, 2).reshape(frames * SIDE**2, -1)
     down, across = np.gradient(sunk, axis=(1, 2))
     share = np.sqrt(0.5)
     drawn = np.zeros((4000, frames, SIDE, SIDE))
@@ -135,6 +135,6 @@ def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     places = np.concatenate([deep + (frames - 1) * SIDE**2, deep + 3 * SIDE**2])
     expected = np.cov(drawn.reshape(4000, -1)[:, places].T)
     np.testing.assert_allclose(found[places] @ found[places].T, expected, atol=0.1 * np.diag(expected).max())
-    coarse = SequenceProblem(sequence_of(SHAPE, size=dents.SIZE), MECHANICS, kind=PatchMotion)
-    assert coarse.depth._model_errors(sunk.reshape(frames, -1)).shape[2] == 0
-    assert SequenceProblem(sequence_of(SHAPE), MECHANICS).depth._model_errors(sunk.reshape(frames, -1)).shape[2] == 0
+    coarse = dent_problem(sequence_of(SHAPE, size=dents.SIZE), MECHANICS, kind=PatchMotion)
+    assert coarse.first._model_errors(sunk.reshape(frames, -1)).shape[2] == 0
+    assert dent_problem(sequence_of(SHAPE), MECHANICS).first._model_errors(sunk.reshape(frames, -1)).shape[2] == 0

@@ -10,8 +10,9 @@ from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import ShadingSequence
 from palpate.estimators.direct import shading_fit
 from palpate.estimators.direct.motion import FITTED
-from palpate.estimators.direct.shading_fit import ShadingProblem
+from palpate.estimators.direct.shading_fit import shading_problem
 from palpate.estimators.estimate import NoEstimate
+from palpate.observations.base import JointLikelihood
 from palpate.observations.lit_sheet import SIDE
 from palpate.observations.shading import OTHERS, coded, without_amplitude
 from palpate.physics.load import Press, held
@@ -38,23 +39,23 @@ def lit_contact(noise: float = 0.02) -> Interaction:
 
 
 @pytest.fixture(scope="module")
-def problem() -> ShadingProblem:
-    return ShadingProblem(lit_contact(), FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
+def problem() -> JointLikelihood:
+    return shading_problem(lit_contact(), FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
 
 
-def start(problem: ShadingProblem) -> np.ndarray:
+def start(problem: JointLikelihood) -> np.ndarray:
     free = problem.box(RECOMMENDED.log_box).shape[1] - OTHERS - 3
     return problem.started(np.concatenate([np.log([0.6, 0.05, 0.03]), np.zeros(free)]))
 
 
-def predicted(problem: ShadingProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def predicted(problem: JointLikelihood, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Light, and the law's part of it."""
-    return problem.shading.predicted(logs, problem.motion.quick(problem.press(logs)))
+    return problem.first.predicted(logs, problem.motion.quick(problem.press(logs)))
 
 
 def test_places_that_come_to_show_count_from_the_next_look_on(problem):
     """Else the sum of squares has steps, and optima are found at them."""
-    logs, shading = start(problem), problem.shading
+    logs, shading = start(problem), problem.first
     problem.look(logs)
     shows = np.isfinite(predicted(problem, logs)[0])
     harder = logs + np.array([0, 0, 2.5, *[0] * (len(logs) - 3)])  # tissue is shifted farther
@@ -69,9 +70,9 @@ def test_places_that_come_to_show_count_from_the_next_look_on(problem):
 def test_derivatives_by_the_press_and_by_the_law(problem):
     logs = start(problem)
     logs[-1] = 0.0  # without a lag
-    light, slopes = problem.shading.tangent(*problem.motion.at(problem.press(logs)), logs)
+    light, slopes = problem.first.tangent(*problem.motion.at(problem.press(logs)), logs)
     expected, law = predicted(problem, logs)
-    known = np.isfinite(light) & problem.shading.sheet.inner.ravel()
+    known = np.isfinite(light) & problem.first.sheet.inner.ravel()
     np.testing.assert_allclose(light[known], expected[known], atol=1e-3)
     np.testing.assert_allclose(slopes[..., -3][known], law[known], atol=2e-3)  # by the response's logarithm
     step = 1e-3 * np.eye(len(logs))[0]

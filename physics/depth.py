@@ -100,6 +100,7 @@ class DepthLikelihood:
         sequence: one frame or more.
         noise: σ of every pixel in every frame [scene units]; None = as the sequence says.
         reach, parts: as of `Patches`.
+        partial: as PARTIAL.
         astray, uneven: standard deviations of a whole frame's error where a pixel of the grid is the mean of several:
             how far aside what pixels show lies, by axis [grid pixels], and of the depth of dents, as a share. Half of
             each variance is the same in all frames.
@@ -114,6 +115,7 @@ class DepthLikelihood:
         *,
         reach: int = REACH,
         parts: int = 1,
+        partial: float = PARTIAL,
         astray: float = 0.0,
         uneven: float = 0.0,
     ) -> None:
@@ -125,15 +127,15 @@ class DepthLikelihood:
         self.observed = change.reshape(len(change), -1).astype(np.float64)
         """Shape [N, P] [scene units]."""
         beside = maximum_filter(~np.isfinite(sequence.change), (1, 3, 3))[inner].reshape(self.observed.shape)
-        self._unevenness = np.where(beside, PARTIAL, WALL)
+        self._unevenness = np.where(beside, partial, WALL)
         self.seen = np.isfinite(self.observed)
         """Pixels that show tissue which is known, shape [N, P], bool; all of `look` comes to be known by it."""
 
-    def see(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray | None = None) -> np.ndarray:
+    def see(self, moved: np.ndarray) -> np.ndarray:
         """Decide what the pixels show, as `look`; returns the change of their depth, shape [N, P]."""
         self.covering = self.patches.covering(moved)
         """Of `Patches`, shape [N, P, K]."""
-        self._turning, self._looked_at = self.patches.turning(moved, slopes), logs
+        self._turning: np.ndarray | float = 0.0
         change, total = self.change(moved), self.noise.total
         self.seen = np.isfinite(change - self.observed)
         # By what is observed, too: else a model that moves nothing would explain everything.
@@ -156,7 +158,8 @@ class DepthLikelihood:
             logs: parameters of that motion, shape [D]; None = no other motion is compared.
             outliers: whether pixels that lie far from that motion count less from now on.
         """
-        change, total = self.see(moved, slopes, logs), self.noise.total
+        change, total = self.see(moved), self.noise.total
+        self._turning, self._looked_at = self.patches.turning(moved, slopes), logs
         weight = np.ones_like(change)
         if outliers:
             apart = np.abs(np.where(self.seen, change - self.observed, 0)) / np.sqrt(total**2 + self._walls)
@@ -234,15 +237,14 @@ class DepthLikelihood:
         """How many independent values of pixels that move were observed, by the last look."""
         return float((self.seen & self.moving).sum()) / self.noise.correlated_in_time
 
-    def singly(self, values: np.ndarray) -> np.ndarray:
-        """Values [N, P] or [N, P, D] of pixels that move, each in units of its own error alone, shape [L] or [L, D]."""
-        used = self.seen & self.moving
+    def singly(self, values: np.ndarray, used: np.ndarray) -> np.ndarray:
+        """Values [N, P] or [N, P, D] of L pixels, each in units of its own error alone, shape [L] or [L, D]."""
         sigma = np.sqrt(self.noise.total**2 + self._walls[used])
         return values[used] / sigma.reshape(-1, *[1] * (values.ndim - 2))
 
     def misfit(self, moved: np.ndarray, logs: np.ndarray | None = None) -> float:
         """Root mean square of the residuals of pixels that move, in standard deviations; outliers count in full."""
-        left = self.singly(self.change(moved, logs) - self.observed)
+        left = self.singly(self.change(moved, logs) - self.observed, self.seen & self.moving)
         return float(np.sqrt(np.square(left).mean())) if len(left) else 0.0
 
 

@@ -15,7 +15,7 @@ from scipy.special import gammainccinv
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.motion import between_steps
 from palpate.estimators.direct.problem import DELAYS
-from palpate.physics.depth import REACH, DepthLikelihood, DepthSequence
+from palpate.physics.depth import MOVED, REACH, WALL, DepthLikelihood, DepthSequence
 from palpate.physics.identifiability import fisher_information
 from palpate.physics.load import held
 from palpate.physics.mechanics import Mechanics, theta_of
@@ -65,7 +65,9 @@ class _PixelComparison:
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
         # Most frames, evenly chosen, that are compared.
         frames = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
-        self._depth = DepthLikelihood(contact.mesh, contact.vertex, sequence.chosen(frames), reach=PIXEL_RADIUS)
+        self._depth = DepthLikelihood(
+            contact.mesh, contact.vertex, sequence.chosen(frames), reach=PIXEL_RADIUS, partial=WALL
+        )
         self.times, self.compared_times = sequence.times, self._depth.times
         self.blurs = np.zeros((0, 2))
         """Of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest displacements."""
@@ -84,9 +86,10 @@ class _PixelComparison:
 
     def residual(self, moved: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         depth, motion = self._depth, (moved[:, 1:], rates[:, 1:])
-        change = depth.see(*motion)
-        self.blurs = depth.singly(depth.blurs.swapaxes(0, 1))
-        return depth.singly(change - depth.observed), depth.singly(depth.tangent(*motion))
+        change = depth.see(motion[0])
+        used = depth.seen & (np.abs(change) > MOVED * depth.noise.total).any(axis=0)
+        self.blurs = depth.singly(depth.blurs.swapaxes(0, 1), used)
+        return depth.singly(change - depth.observed, used), depth.singly(depth.tangent(*motion), used)
 
 
 _Comparison = _PointComparison | _PixelComparison

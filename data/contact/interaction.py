@@ -10,7 +10,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -32,25 +32,14 @@ SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 
 
-class Record(Protocol):
-    """What was observed of one kind; N instants."""
-
-    @property
-    def times(self) -> np.ndarray:
-        """Since the onset, shape [N] [s]."""
-
-    def chosen(self, instants: np.ndarray, /) -> Self:
-        """The same at some of its instants: a mask [N] or indices."""
-
-
 class Recorder(Protocol):
     """Gathers one kind of observation of a run of contact."""
 
     def frame(self, frame: Any, /) -> Any | None:
         """Return what the next frame after the onset adds; None = nothing."""
 
-    def record(self, times: np.ndarray, values: list[Any], known: int, /) -> Record:
-        """Return what was observed.
+    def record(self, times: np.ndarray, values: list[Any], known: int, /) -> Any:
+        """Return what was observed, a record: its `times` [N], and `chosen`, the same at a mask [N] or indices.
 
         Args:
             times: of the frames that count, since the onset [s].
@@ -243,7 +232,8 @@ class InteractionBuilder:
             kept = [item for item in known if item[0] <= last and step / 2 <= item[1] < mechanics.seconds]
             times = np.array([since for _, since, _ in kept])
             records[name] = recorder.record(times, [value for *_, value in kept], len(known))
-        farthest = max(records["point"].displacement[0], key=np.linalg.norm, default=np.zeros(3, np.float32))
+        moved: np.ndarray = records["point"].displacement[0]
+        farthest = moved[np.linalg.norm(moved, axis=1).argmax()] if len(moved) else np.zeros(3, np.float32)
         loaded = steps if self.load_seconds is None else int(np.clip(round(self.load_seconds / step), 1, steps))
         if until is not None:
             loaded = min(loaded, round(until / step))

@@ -34,16 +34,20 @@ class Series:
     `times` are those since the onset, shape [N] [s]; `values` have shape [N, …].
     """
 
-    def __init__(self, frame: Callable[[PreparedFrame], Any], times: Any = (), values: Any = ()) -> None:
-        self.frame, self.times, self.values = frame, np.array(times), np.array(values)
+    def __init__(self, shown: Callable[[PreparedFrame], Any], times: Any = (), values: Any = ()) -> None:
+        self._shown, self.times, self.values = shown, np.array(times), np.array(values)
+
+    def frame(self, frame: PreparedFrame) -> Any | None:
+        """As of `Recorder`."""
+        return self._shown(frame)
 
     def record(self, times: np.ndarray, values: list[Any], _: int) -> Series:
         """As of `Recorder`."""
-        return Series(self.frame, times, values)
+        return Series(self._shown, times, values)
 
     def chosen(self, instants: np.ndarray) -> Series:
-        """As of `Record`."""
-        return Series(self.frame, self.times[instants], self.values[instants])
+        """The same at some of its instants: a mask [N] or indices."""
+        return Series(self._shown, self.times[instants], self.values[instants])
 
 
 class Observation:

@@ -53,7 +53,7 @@ def chosen_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
     Observations change about in proportion to the force, so each candidate is tried with the force that suits it best.
     """
     coarse, tried, misfits = problem.coarser(), [], []
-    candidates = evenly_spread(*(problem.press(end) for end in box))
+    candidates = evenly_spread(problem.press(box[0]), problem.press(box[1]))
     candidates[:, problem.motion.centred] = 0
     for logs in map(problem.started, candidates):
         coarse.look(logs)

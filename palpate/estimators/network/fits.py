@@ -182,7 +182,7 @@ ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
 ROUNDING_NOISE = LEVEL / math.sqrt(12)
 """Standard deviation of the rounding error [scene units]."""
 REST_SHARE = 0.1
-"""Error of the rest position, in σ: the rest surface is an average of many depths (`estimators.direct.error_model`)."""
+"""Error of the rest position, in σ: the rest surface is an average of many depths (`physics.depth`)."""
 CUT_SHARES = 0.5, 0.2
 """Shares of samples that end under the tool, as in live frames, and anywhere before the second is over."""
 DELAY_RANGE = 2.0

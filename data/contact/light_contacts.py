@@ -88,7 +88,7 @@ class LightContacts:
         gap = self._forget() if number is not None and not prepared.follows(number) else []
         if self._registration is None:
             self._registration = Registration(prepared.depth.shape)
-        view, picture, labels = self._registration.push(prepared.shown, *prepared.view)
+        view, picture, labels = self._registration.push(prepared.shown)
         another = self._view is not None and view.reference != self._view.reference
         prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
         self._view = view

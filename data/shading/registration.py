@@ -52,13 +52,8 @@ class Registration:
         self._last = np.eye(3)
         """Homography from the reference's picture to the last one."""
 
-    def push(self, shown: Shown, picture: np.ndarray, labels: np.ndarray) -> tuple[View, np.ndarray, np.ndarray]:
+    def push(self, shown: Shown) -> tuple[View, np.ndarray, np.ndarray]:
         """The next frame.
-
-        Args:
-            shown: picture and tool as points are followed in them.
-            picture: RGB, uint8 [H, W, 3].
-            labels: label map, uint8 [H, W].
 
         Returns:
             Its view, and picture and labels in the view of the reference; black and 0 where it doesn't show that.
@@ -72,13 +67,11 @@ class Registration:
             motion = np.eye(3)
         self._last = motion
         if np.array_equal(motion, np.eye(3)):
-            return View(self._count, np.eye(3)), picture, labels
-        size = picture.shape[1::-1]
-        whole = scaled(motion, np.array(size) / shown.gray.shape[::-1])
-        flags = cv2.WARP_INVERSE_MAP
-        warped = cv2.warpPerspective(picture, whole, size, flags=flags | cv2.INTER_CUBIC)
-        found = cv2.warpPerspective(labels, whole, size, flags=flags | cv2.INTER_NEAREST)
-        grid = scaled(motion, np.array(self._grid_shape[::-1]) / shown.gray.shape[::-1])
+            return View(self._count, np.eye(3)), shown.picture, shown.labels
+        size, flags = shown.gray.shape[::-1], cv2.WARP_INVERSE_MAP
+        warped = cv2.warpPerspective(shown.picture, motion, size, flags=flags | cv2.INTER_CUBIC)
+        found = cv2.warpPerspective(shown.labels, motion, size, flags=flags | cv2.INTER_NEAREST)
+        grid = scaled(motion, np.array(self._grid_shape[::-1]) / size)
         return View(self._count, np.linalg.inv(grid)), warped, found
 
     def _motion(self, shown: Shown) -> np.ndarray | None:

@@ -28,7 +28,7 @@ def labels(tool: slice | None = None) -> np.ndarray:
 
 
 def push(registration: Registration, picture: np.ndarray, named: np.ndarray) -> tuple[View, np.ndarray, np.ndarray]:
-    return registration.push(Shown.of_view((picture, named)), picture, named)
+    return registration.push(Shown.of_view((picture, named)))
 
 
 PICTURE = texture()

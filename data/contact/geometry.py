@@ -115,7 +115,7 @@ class RestTissue(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameGeometry:
-    """What one frame in contact gives the simulator (Bini 2026, section 3.2.2); the mesh is made when it is asked for."""
+    """What one frame in contact gives the simulator (Bini 2026, section 3.2.2); the mesh is made on demand."""
 
     make_mesh: Callable[[], Mesh]
     """Return the tissue's surface."""

@@ -185,10 +185,7 @@ def frame_geometry(
         points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
     pair = _outline_pair(points, tool, tissue, settings) if outlined else _cloud_pair(points, tool, tissue, settings)
     (tool_row, tool_column), (row, column) = pair
-    make_mesh = cache(partial(tissue_mesh, sheet, labels, settings, rest))
-    around = np.s_[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
-    if settings.keep < 1 or not len(grid_mesh(sheet[around], rest.known[around], max_edge=settings.max_edge).vertices):
-        make_mesh()  # no triangle at the contact; is there one anywhere?
+    make_mesh, _ = _mesh_around(row, column, sheet, labels, settings, rest)
     tissue_point = points[row, column]
     tool_point = points[tool_row, tool_column] if depth[tool_row, tool_column] > 0 else np.full(3, np.nan, np.float32)
     distance = float(np.linalg.norm(tool_point - tissue_point))
@@ -206,10 +203,12 @@ def dent_geometry(
     """
     rest, noise = smooth_rest(depth, labels, settings, rest)
     sheet = back_project(rest.depth, camera)
-    mesh = tissue_mesh(sheet, labels, settings, rest)
-    vertex = nearest_vertex(mesh, sheet[pixel[1], pixel[0]])
-    (row, column), nowhere = mesh.pixels[vertex].tolist(), np.full(3, np.nan, np.float32)
-    return FrameGeometry(lambda: mesh, nowhere, mesh.vertices[vertex], math.nan, (column, row), False, noise)
+    column, row = pixel
+    make_mesh, inside = _mesh_around(row, column, sheet, labels, settings, rest)
+    if not inside:
+        row, column = make_mesh().pixels[nearest_vertex(make_mesh(), sheet[row, column])].tolist()
+    nowhere, point = np.full(3, np.nan, np.float32), sheet[row, column]
+    return FrameGeometry(make_mesh, nowhere, point, math.nan, (column, row), False, noise)
 
 
 def smooth_rest(
@@ -248,6 +247,23 @@ def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySetting
     if len(mesh.vertices) == 0:
         raise GeometryStatus("bad_depth", "The tissue's depth is so rough that no mesh triangle is short enough.")
     return mesh
+
+
+def _mesh_around(
+    row: int, column: int, sheet: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue
+) -> tuple[Callable[[], Mesh], bool]:
+    """Return what makes the mesh as of `tissue_mesh`, once, and whether a grid pixel is known to be its vertex."""
+    make_mesh, top, left = (
+        cache(partial(tissue_mesh, sheet, labels, settings, rest)),
+        max(row - 2, 0),
+        max(column - 2, 0),
+    )
+    around = np.s_[top : row + 3, left : column + 3]
+    pixels = grid_mesh(sheet[around], rest.known[around], max_edge=settings.max_edge).pixels.tolist()
+    if settings.keep < 1 or not pixels:
+        make_mesh()  # without any triangle there is an error at once
+        return make_mesh, False
+    return make_mesh, [row - top, column - left] in pixels
 
 
 def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:

@@ -132,6 +132,8 @@ class FrameGeometry:
     noise: float = math.nan
     """Standard deviation of the tissue's depth about its smoothed surface [scene units]; not a number without
     `GeometrySettings.smoothing`."""
+    surface: np.ndarray | None = None
+    """Depth of the visible tissue by which the mesh is made, shape [h, w] [scene units]; None = another."""
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -189,7 +191,8 @@ def frame_geometry(
     tissue_point = points[row, column]
     tool_point = points[tool_row, tool_column] if depth[tool_row, tool_column] > 0 else np.full(3, np.nan, np.float32)
     distance = float(np.linalg.norm(tool_point - tissue_point))
-    return FrameGeometry(make_mesh, tool_point, tissue_point, distance, (int(column), int(row)), touching, noise)
+    pixel = int(column), int(row)
+    return FrameGeometry(make_mesh, tool_point, tissue_point, distance, pixel, touching, noise, rest.depth)
 
 
 def dent_geometry(
@@ -208,7 +211,7 @@ def dent_geometry(
     if not inside:
         row, column = make_mesh().pixels[nearest_vertex(make_mesh(), sheet[row, column])].tolist()
     nowhere, point = np.full(3, np.nan, np.float32), sheet[row, column]
-    return FrameGeometry(make_mesh, nowhere, point, math.nan, (column, row), False, noise)
+    return FrameGeometry(make_mesh, nowhere, point, math.nan, (column, row), False, noise, rest.depth)
 
 
 def smooth_rest(
@@ -253,11 +256,8 @@ def _mesh_around(
     row: int, column: int, sheet: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue
 ) -> tuple[Callable[[], Mesh], bool]:
     """Return what makes the mesh as of `tissue_mesh`, once, and whether a grid pixel is known to be its vertex."""
-    make_mesh, top, left = (
-        cache(partial(tissue_mesh, sheet, labels, settings, rest)),
-        max(row - 2, 0),
-        max(column - 2, 0),
-    )
+    make_mesh = cache(partial(tissue_mesh, sheet, labels, settings, rest))
+    top, left = max(row - 2, 0), max(column - 2, 0)
     around = np.s_[top : row + 3, left : column + 3]
     pixels = grid_mesh(sheet[around], rest.known[around], max_edge=settings.max_edge).pixels.tolist()
     if settings.keep < 1 or not pixels:

@@ -170,7 +170,7 @@ class ContactMotion:
                     resting = dent_geometry(*seen, onset.contact.pixel, *given)
                 else:
                     resting = frame_geometry(*seen, *given, onset.ends)
-                onset.geometry = dataclasses.replace(resting, noise=noise)
+                onset.geometry = dataclasses.replace(resting, noise=noise, surface=None)
         pixel = picture_pixel(onset, self.size)
         template = self._tracker.template(onset.shown, pixel)
         young = [] if math.isfinite(onset.contact.noise) and onset.press is None else None
@@ -228,7 +228,9 @@ class ContactMotion:
     def _lift_smooth(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] on the smoothed surface: drift adds up from frame to frame, and with it the depth's noise."""
         depth = prepared.depth
-        if self.settings.smoothing > 0:
+        if prepared.geometry is not None and prepared.geometry.surface is not None:
+            depth = prepared.geometry.surface
+        elif self.settings.smoothing > 0:
             if self._smooth[0] != prepared.frame.index:  # every frame is asked for with the one before and after it
                 tissue = (prepared.labels == TISSUE) & (depth > 0)
                 self._smooth = prepared.frame.index, smooth_surface(depth, tissue, self.settings.smoothing)[0]

@@ -50,8 +50,11 @@ class Forces:
     """of an instrument's shaft in view, such as 5 or 8 mm: tells how long a scene unit is where depth has no metres of
     its own, so that results are in mm and N/m (docs/inputs.md)"""
     force_limit: Positive | None = option(None, metavar="X", needs=FRAME_FORCE)
-    """limit of the force in the unit of the column force, of infer in newtons with --force-scale: whether it is reached
-    in every frame, by the upper end of its 90 % interval (docs/forces.md). Research software, not a medical device"""
+    """limit of the force in the unit of the column force, of infer in newtons with --force-scale: whether it is
+    above in every frame, by its interval (docs/forces.md). Research software, not a medical device"""
+    alarm_at: Annotated[float, 0.5, 0.999] = option(0.9, metavar="P")
+    """probability that the force is above --force-limit from which on there is an alarm, which ends below 0.5; a lower
+    one misses less and warns more often for nothing (docs/forces.md)"""
 
 
 @dataclass(frozen=True)

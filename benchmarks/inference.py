@@ -33,7 +33,6 @@ import torch
 
 from benchmarks.harness import show
 from palpate.common.options import option, options
-from palpate.common.provenance import ROOT
 from palpate.data.contact.features import FEATURES
 from palpate.data.source.video import Video
 from palpate.data.synthetic.clip import draw_truth, observe
@@ -43,6 +42,7 @@ from palpate.models.onnx_export import export
 from palpate.models.onnx_session import open_model
 from palpate.physics.mechanics import RECOMMENDED
 
+ROOT = Path(__file__).resolve().parents[1]
 SIZE = 120, 214
 """Height and width of the networks' input."""
 RUNS = 20
@@ -132,10 +132,12 @@ def checkout(revision: str) -> Generator[Path]:
 
 def compared(video: Path, against: str | None, folder: Path) -> pd.DataFrame:
     """Table of what a video takes here and, turn by turn, in another commit, with their ratio."""
-    found = {"here": timed(ROOT, video, folder / "here")}
-    if against is not None:
-        with checkout(against) as other:
-            found[against] = timed(other, video, folder / "other")
+    with ExitStack() as stack:
+        roots = {"here": ROOT}
+        if against is not None:
+            roots[against] = stack.enter_context(checkout(against))
+        for _ in range(2):  # the first turn compiles
+            found = {name: timed(root, video, folder / root.name) for name, root in roots.items()}
     frame = pd.DataFrame(found).rename_axis(video.stem).reset_index()
     return frame if against is None else frame.assign(ratio=frame["here"] / frame[against])
 

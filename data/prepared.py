@@ -122,17 +122,12 @@ class PreparedFrame:
         """Whether the frame has an image and labels, so that tissue can be followed into it."""
         return self.picture_labels is not None
 
-    @property
-    def view(self) -> tuple[np.ndarray, np.ndarray]:
-        """Image and label map of a frame that is visible; ValueError where it isn't."""
-        if self.picture_labels is None:
-            raise ValueError(f"Frame {self.frame.number} has no labels: {self.detail}")
-        return self.frame.picture, self.picture_labels
-
     @cached_property
     def shown(self) -> Shown:
-        """That view as points are followed in it, made once for all who follow."""
-        return Shown.of_view(self.view)
+        """Image and label map of a frame that is visible, made small once for all; ValueError where it isn't."""
+        if self.picture_labels is None:
+            raise ValueError(f"Frame {self.frame.number} has no labels: {self.detail}")
+        return Shown.of_view((self.frame.picture, self.picture_labels))
 
     @cached_property
     def ends(self) -> np.ndarray | None:

@@ -194,8 +194,9 @@ class RunSession:
     def _pushed(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame to the clip's runs; returns the one that has ended before it, or None."""
         if self.needs_light and frame.visible and frame.make_light is None:
+            shown = frame.shown.picture, frame.shown.labels
             # The frame itself stays as it is: others may look at it.
-            frame = dataclasses.replace(frame, make_light=cache(partial(log_light, *frame.view, frame.depth.shape)))
+            frame = dataclasses.replace(frame, make_light=cache(partial(log_light, *shown, frame.depth.shape)))
         return self._runs.push(frame)
 
     def _follow(self, frame: PreparedFrame) -> None:

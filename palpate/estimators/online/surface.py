@@ -96,10 +96,9 @@ def make_surface(
         NoEstimate: no tool or no tissue with depth, or none of it near the tool; a thickness of which no volume can be
             made.
     """
-    _, labels = frame.view
-    tissue, tool = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL
+    tissue, tool, shown = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL, frame.shown
     count = int(tissue.sum())
-    if count < geometry.min_tissue_pixels or not (labels == TOOL).any():
+    if count < geometry.min_tissue_pixels or not shown.tool.any():
         raise NoEstimate(f"Frame {frame.frame.number} shows no instrument at tissue with depth to make a sheet of.")
     depth = frame.depth
     if geometry.smoothing > 0:
@@ -114,7 +113,6 @@ def make_surface(
     mesh = grid_mesh(points, tissue, occluder=tool, max_edge=longest, keep=keep)
     if len(mesh.vertices) == 0:
         raise NoEstimate(f"The tissue's depth in frame {frame.frame.number} is too rough to make a sheet of.")
-    shown = frame.shown
     size = shown.gray.shape[::-1]
     pixels = grid_to_picture(mesh.pixels[:, ::-1], mesh.grid_shape, size)
     column, row = np.clip(pixels.round().astype(int), 0, np.array(size) - 1).T

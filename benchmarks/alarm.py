@@ -26,6 +26,7 @@ from benchmarks.recovery.suites import EVERY, GRID_SIZE, suite_clip_seed
 from palpate.common.options import options
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.source import PREPARE, open_synthetic
+from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate
@@ -55,6 +56,7 @@ def presses(clips: int) -> Iterator[tuple[float, list[FrameEstimate]]]:
         for index in range(clips):
             settings, seed = EVERY[suite].settings(index, GRID_SIZE), suite_clip_seed("validation", 65, index)
             scene, motion = draw_truth(settings, seed)
+            assert isinstance(motion, PressedMotion)
             clip = open_synthetic(synthetic_clip(scene, motion, seed), PREPARE)
             output = estimates_of(estimator.start(ClipInfo.of(clip)), clip)
             yield abs(float(motion.theta[2])), [item for item in output if isinstance(item, FrameEstimate)]

@@ -515,6 +515,7 @@ def test_wrong_usage(inputs, tmp_path, capsys):
             "needs the force of every frame, which --estimator gan does not give",
         ),
         (["--estimator", "online", "--force-limit", "1"], "which --estimator online does not give; choose another"),
+        (["--alarm-at", "0.8"], "--alarm-at has no effect without --force-limit"),
         (["--estimator", "online", "--bag", "ros2"], "--bag needs a force, which --estimator online does not give"),
         (["--model", model, "--export"], "--export needs intervals, which --estimator gan does not give"),
     ):

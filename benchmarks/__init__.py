@@ -9,5 +9,6 @@ online       Table II of Liang 2024: the online estimator on simulated pulls
 palpation    moduli from simulated palpations, as of Frank 2010
 instruments  automatic masks against outlines that people drew
 inference    time of networks and of whole videos
+alarm        false alarms of a limit of force against missed crossings
 harness      what all share: an experiment gives rows for a case; resuming and tables
 """

@@ -39,9 +39,9 @@ from palpate.cli.infer import main as infer
 from palpate.common.command_line import say
 from palpate.common.files import as_json
 from palpate.common.options import options
-from palpate.common.provenance import ROOT
 from palpate.data.synthetic.__main__ import main as draw
 
+ROOT = Path(__file__).resolve().parents[1]
 GOLDENS = ROOT / "tests" / "goldens.json"
 REAL_DATA = Path(os.environ.get("TISSUE_REAL_DATA", ROOT.parent / "shared" / "data"))
 QUANTITIES = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")

@@ -18,7 +18,7 @@ from palpate.data.depth.photometric import PhotometricDepth
 from palpate.data.depth.preset import resolve_model
 from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
 from palpate.data.depth.stereo import StereoDepth
-from palpate.data.labels import TISSUE, TOOL
+from palpate.data.labels import OTHER, TISSUE, TOOL
 from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.layout import ClipLayout, InputError, matches
@@ -232,7 +232,7 @@ def resize_depth(
         # Outside the camera's picture, after the removal of lens distortion.
         if value == 255:
             continue
-        usable = member if complete else member * valid
+        usable = member if complete else member & valid
         weight = shares[index] if complete else _resized(usable, size)
         chosen = (winner == index) & (weight > 0) & (weight >= 0.5 * shares[index])
         result[chosen] = _resized(depth * usable, size)[chosen] / weight[chosen]
@@ -246,14 +246,19 @@ def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _shares(labels: np.ndarray, size: tuple[int, int]) -> tuple[list[int], list[np.ndarray], np.ndarray]:
-    """The labels that there are, where each is, float32 [H, W], and how much of every grid pixel, [labels, h, w]."""
-    present = np.flatnonzero(np.bincount(labels.ravel())).tolist()
-    order = sorted(present, key=lambda value: (value != TOOL, value != TISSUE, value))
-    members = [(labels == value).astype(np.float32) for value in order]
-    return order, members, np.stack([_resized(member, size) for member in members])
+    """The labels that there are, where each is, bool [H, W], and how much of every grid pixel, [labels, h, w]."""
+    everywhere = {value: labels == value for value in (TOOL, TISSUE, OTHER, 255)}
+    members = {value: member for value, member in everywhere.items() if member.any()}
+    return [*members], [*members.values()], np.stack([_resized(member, size) for member in members.values()])
 
 
 def _resized(map_: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A map at a size (height, width): area average when shrinking, bilinear when enlarging."""
+    """A map, bool or float32, at a size (height, width): area average when shrinking, bilinear when enlarging."""
+    map_ = map_.view(np.uint8) if map_.dtype == bool else map_
     shrinking = size[0] <= map_.shape[0] and size[1] <= map_.shape[1]
-    return cv2.resize(map_, size[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)
+    rows, left = divmod(map_.shape[0], size[0])
+    if shrinking and not left and rows < 256:  # whole rows are summed in a tenth of the time
+        map_ = np.add.reduce(map_.reshape(size[0], rows, -1), axis=1, dtype=map_.dtype) / np.float32(rows)
+    return cv2.resize(
+        map_.astype(np.float32, copy=False), size[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR
+    )

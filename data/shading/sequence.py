@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,12 +94,12 @@ class RestingLight:
     """The light of tissue at rest: the median of the last frames before a contact."""
 
     def __init__(self) -> None:
-        self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
+        self._frames: deque[Callable[[], np.ndarray]] = deque(maxlen=KEPT)
         self._median: np.ndarray | None = None
         """Of these frames, where it has been asked for."""
 
-    def push(self, light: np.ndarray) -> None:
-        """The light of the next frame out of contact, as of `log_light`."""
+    def push(self, light: Callable[[], np.ndarray]) -> None:
+        """Take the next frame out of contact, by what returns its light as of `log_light`."""
         self._frames.append(light)
         self._median = None
 
@@ -113,7 +114,7 @@ class RestingLight:
     def median(self) -> np.ndarray:
         """Of the frames, at least one, place by place; not a number where no frame shows tissue."""
         if self._median is None:
-            self._median = _median(np.stack(self._frames))
+            self._median = _median(np.stack([light() for light in self._frames]))
         return self._median
 
 

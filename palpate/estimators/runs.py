@@ -7,6 +7,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future
+from functools import cache, partial
 
 import numpy as np
 
@@ -128,8 +129,8 @@ class RunTracker:
             self._reference = frame.light_view.reference
             self._light.clear()
         ended = self._push(frame)
-        if self.current is None and frame.light is not None:
-            self._light.push(frame.light)
+        if self.current is None and frame.make_light is not None:
+            self._light.push(frame.make_light)
         return ended
 
     def _push(self, frame: PreparedFrame) -> Run | None:
@@ -206,10 +207,10 @@ class RunSession:
 
     def _pushed(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame to the clip's runs; returns the one that has ended before it, or None."""
-        if self.needs_light and frame.visible and frame.light is None:
-            light = log_light(*frame.view, frame.depth.shape)
+        if self.needs_light and frame.visible and frame.make_light is None:
+            shown = frame.shown.picture, frame.shown.labels
             # The frame itself stays as it is: others may look at it.
-            frame = dataclasses.replace(frame, light=light)
+            frame = dataclasses.replace(frame, make_light=cache(partial(log_light, *shown, frame.depth.shape)))
         return self._runs.push(frame)
 
     def _follow(self, frame: PreparedFrame) -> None:

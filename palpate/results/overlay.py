@@ -61,7 +61,7 @@ def _outline(canvas: np.ndarray, mask: np.ndarray, color: Color) -> None:
     height, width = canvas.shape[:2]
     reach = 2 * max(1, round(width / mask.shape[1])) + 1
     smooth = cv2.blur(cv2.resize(mask.astype(np.uint8) * 255, (width, height)), (reach, reach))
-    contours = cv2.findContours((smooth > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    contours = cv2.findContours((smooth > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_KCOS)[0]
     cv2.drawContours(canvas, contours, -1, color, max(1, round(height / 320)), cv2.LINE_AA)
 
 

@@ -231,5 +231,5 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
 @functools.cache
 def versions() -> dict[str, str]:
     """Versions of this program and of the packages that the numbers depend on."""
-    found = {item.name: item.version for item in distributions() if item.name in PACKAGES}
+    found = {name: item.version for name in PACKAGES for item in distributions(name=name)}
     return found | {"python": platform.python_version(), "preprocessing": str(PREPROCESSING_VERSION)}

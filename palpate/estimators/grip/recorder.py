@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.common.robust import affine_terms
-from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
@@ -43,8 +42,7 @@ class GripRecorder:
     """
 
     def __init__(self, first: PreparedFrame) -> None:
-        picture, labels = first.view
-        self._follower = PointFollower(picture, labels == TOOL)
+        self._follower = PointFollower(first.shown)
         self._start, self._kept, self._every = first.frame.time_s, list[_Kept](), 1
         self._seen, self._count = 0, 0
 
@@ -52,9 +50,8 @@ class GripRecorder:
         """Follow the points into the next frame; one without picture or labels is passed over."""
         if not frame.visible:
             return
-        picture, labels = frame.view
         follower = self._follower
-        follower.step(picture, labels == TOOL)
+        follower.step(frame.shown)
         if not frame.in_contact:
             return
         self._seen += 1

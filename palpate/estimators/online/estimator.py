@@ -18,7 +18,6 @@ from palpate.common.options import option
 from palpate.common.robust import affine_motion
 from palpate.common.settings import LARGEST, Checked
 from palpate.data.contact.tissue_points import grid_to_picture
-from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.tracks.background import without_background
@@ -89,9 +88,8 @@ class _Followed:
             raise NoEstimate(f"Frame {first.frame.number} has no picture with masks to begin with.")
         settings = estimator.settings
         self._number, self._clip, self._settings = first.frame.number, clip, settings
-        picture, labels = first.view
         surface = make_surface(first, clip.camera, clip.geometry, settings.particles, settings.thickness)
-        self._follower = PointFollower(picture, labels == TOOL)
+        self._follower = PointFollower(first.shown)
         follower = self._follower
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
         self._background = np.zeros_like(surface.pixels)
@@ -100,9 +98,8 @@ class _Followed:
 
     def step(self, frame: PreparedFrame) -> None:
         """Follow the tissue into a frame, and take it in."""
-        picture, labels = frame.view
         follower = self._follower
-        follower.step(picture, labels == TOOL)
+        follower.step(frame.shown)
         moved = follower.moved
         still = without_background(follower.points, moved, follower.distance)
         motion, places = moved - still, self._driven.surface.pixels

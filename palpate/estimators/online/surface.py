@@ -13,7 +13,6 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.tracks.background import FAR
-from palpate.data.tracks.following import shrunk, tool_distance
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.recorder import DRIVEN
 from palpate.physics.fem.solid import outer_faces
@@ -97,10 +96,9 @@ def make_surface(
         NoEstimate: no tool or no tissue with depth, or none of it near the tool; a thickness of which no volume can be
             made.
     """
-    picture, labels = frame.view
-    tissue, tool = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL
+    tissue, tool, shown = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL, frame.shown
     count = int(tissue.sum())
-    if count < geometry.min_tissue_pixels or not (labels == TOOL).any():
+    if count < geometry.min_tissue_pixels or not shown.tool.any():
         raise NoEstimate(f"Frame {frame.frame.number} shows no instrument at tissue with depth to make a sheet of.")
     depth = frame.depth
     if geometry.smoothing > 0:
@@ -115,15 +113,14 @@ def make_surface(
     mesh = grid_mesh(points, tissue, occluder=tool, max_edge=longest, keep=keep)
     if len(mesh.vertices) == 0:
         raise NoEstimate(f"The tissue's depth in frame {frame.frame.number} is too rough to make a sheet of.")
-    small, instrument = shrunk(picture, labels == TOOL)
-    size = small.shape[1], small.shape[0]
+    size = shown.gray.shape[::-1]
     pixels = grid_to_picture(mesh.pixels[:, ::-1], mesh.grid_shape, size)
     column, row = np.clip(pixels.round().astype(int), 0, np.array(size) - 1).T
     reach = max(DRIVEN, size[0] / mesh.grid_shape[1] / np.sqrt(keep))  # a row of particles at least
-    away = tool_distance(instrument)[row, column]
+    away = shown.away[row, column]
     driven = away < reach
     if not driven.any():
-        near = f"{reach * labels.shape[1] / size[0]:.0f} px"
+        near = f"{reach * shown.size[0] / size[0]:.0f} px"
         raise NoEstimate(f"No tissue lies within {near} of the instrument in frame {frame.frame.number}.")
     pinned = mesh.rim & ~driven & (away > np.percentile(away, FAR))
     if thickness is None:

@@ -18,7 +18,7 @@ class Overlay(Artefact):
     name, option, pictures = store.OVERLAY, "overlay", True
 
     def open(self) -> None:
-        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps)
+        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps, preset="superfast")
         self._drawer = ThreadPoolExecutor(1, "overlay")
         self._drawing: deque[Future[None]] = deque()
 

@@ -27,7 +27,7 @@ def recorder(row: int = 30, column: int = 40) -> ShadingRecorder:
 def test_rest_is_the_median_of_what_was_seen():
     rest = RestingLight()
     for value in (1.0, 5.0, 2.0, np.nan):
-        rest.push(np.full(SHAPE, value))
+        rest.push(lambda value=value: np.full(SHAPE, value))
     assert len(rest) == 4
     np.testing.assert_allclose(rest.median(), 2.0)
     rest.clear()
@@ -41,7 +41,7 @@ def test_rest_is_that_of_the_frames_that_show_a_place(count):
     frames[generator.random(frames.shape) < 0.3] = np.nan
     rest = RestingLight()
     for frame in frames:
-        rest.push(frame)
+        rest.push(lambda frame=frame: frame)
     known = np.isfinite(frames).any(axis=0)
     np.testing.assert_array_equal(rest.median()[known], np.nanmedian(frames[:, known], axis=0))
     assert np.isnan(rest.median()[~known]).all()

@@ -51,6 +51,8 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
     arrays: dict[str, Any] = {"trajectory": motion.contact, "in_contact": motion.in_contact, "times": motion.times}
     arrays |= {f"mesh_{name}": getattr(mesh, name) for name in ("vertices", "springs", "rim", "pixels")}
     arrays |= {"moving": motion.moving.astype(np.int32), "field": motion.field.astype(np.float16)}
+    tool = {} if motion.passage is None else vars(motion.passage)
+    arrays |= {name: value for name, value in tool.items() if name == "tip"}
     np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in own})
     truth = {
         "seed": seed,
@@ -62,6 +64,7 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         "contact_vertex": scene.vertex,
         "contact_pixel": dict(zip(("row", "column"), mesh.pixels[scene.vertex].tolist(), strict=True)),
         "direction": scene.direction.tolist(),
+        "tool": {name: np.asarray(value).tolist() for name, value in tool.items() if name != "tip"},
         "camera": dataclasses.asdict(scene.camera),
         "units": TEXTS["units"],
         "arrays": TEXTS["arrays"] | own,

@@ -15,7 +15,7 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.camera import back_project
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
-from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, draw_tool
+from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, draw_tool, paint
 from palpate.data.synthetic.truth import TrueMotion
 
 GREY = {name: entry.grey for name, entry in CLASSES.items()}
@@ -73,11 +73,9 @@ class Renderer:
         if self.scene.settings.occlusion > 0:
             self._add_fat(index, labels, light, depth)
         if self.scene.settings.tool_in_view:
-            tool = draw_tool(self.scene, self.motion, index, view, self.rays).visible(labels != GREY["fat"], depth)
-            tool.paint(labels, light, depth)
-        blurred = cv2.GaussianBlur(
-            (light * self.gain).astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05
-        )
+            paint(draw_tool(self.scene, self.motion, index, view, self.rays), labels, light, depth)
+        sigma = 0.15 * self.scene.settings.cell[0] + 0.05
+        blurred = cv2.GaussianBlur((light * self.gain).astype(np.float32), (0, 0), sigma)
         picture = encode_srgb(np.clip(blurred, 0, 1))
         if self.scene.settings.image_noise > 0:
             noise = self.noise.standard_normal(picture.shape, dtype=np.float32)
@@ -86,15 +84,15 @@ class Renderer:
 
     def _lit_tissue(self, index: int, view: SheetView) -> np.ndarray:
         """Linear light of the tissue in a frame, the tool's shadow on it, shape [H, W, 3]."""
-        lights, passage = [], self.motion.passage
+        total, passage = 0.0, self.motion.passage
         for lamp, rest in zip(self.lamps, self.rest_lights, strict=True):
             light = rest.copy()
             if view.region[0].stop > 0:
                 light[view.region] = self._tissue_light(view, view.region, lamp)
-            if passage is not None and self.scene.settings.tool_in_view and lamp.any():
+            if passage is not None and self.scene.settings.tool_in_view:
                 light *= passage.lit(index, lamp, self.rays * view.depth[..., None])[..., None]
-            lights.append(light)
-        return lights[0] if len(lights) == 1 else np.mean(lights, axis=0)
+            total = total + light / len(self.lamps)
+        return np.asarray(total)
 
     def _tissue_light(self, view: SheetView, region: tuple[slice, slice], lamp: np.ndarray = LENS) -> np.ndarray:
         """Linear light of the tissue over a region if a lamp at a place [3] gives all light, shape [h, w, 3]."""

@@ -143,9 +143,10 @@ class SceneSettings(Checked, group="scene."):
         super().__post_init__()
         if self.width < self.grid_width or self.height < self.grid_height:
             raise ValueError(f"scene.width and height {self.width}x{self.height} are below the grid's; give more.")
-        if self.view == "island" and (self.action not in ("press", "grip") or self.masked == "all"):
-            wrong = "masked all" if self.masked == "all" else f"action {self.action}"
-            raise ValueError(f"scene.{wrong} shows nothing in the view island; give scene.view filled.")
+        if self.view == "island" and (self.action in ("slide", "hover", "pass") or self.masked == "all"):
+            raise ValueError(
+                f"scene.action {self.action}, masked {self.masked} isn't an island; give scene.view filled."
+            )
         if self.rise[1] + self.fall[1] > 1:
             raise ValueError(f"scene.rise {self.rise[1]:g} and fall {self.fall[1]:g} add up to more than 1; give less.")
         rates = {"stiffness": math.sqrt(self.stiffness[1] / self.mass), "damping": self.damping[1] / self.mass}

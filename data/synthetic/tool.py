@@ -7,7 +7,6 @@ stays in view, and away from the tip it keeps clear of the tissue, so that the t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,35 +35,20 @@ JAW_SLIT = (4.0, 15.0, 0.5)
 """Gap between the two jaws: where it begins and ends along the axis, and its half-width [grid px]."""
 
 
-@dataclass(frozen=True)
-class Tool:
-    """Pixels of the tool in one frame."""
+Tool = tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]
+"""Rows and columns of a tool's P pixels, z [P] [scene units], and light before its falloff with distance [P, 3]."""
 
-    rows: np.ndarray
-    """Rows of its pixels, shape [P]."""
-    columns: np.ndarray
-    """Columns of its pixels, shape [P]."""
-    depth: np.ndarray
-    """z, shape [P] [scene units]."""
-    light: np.ndarray
-    """Reflected light before its falloff with distance, shape [P, 3], linear RGB."""
 
-    def visible(self, bare: np.ndarray, depth: np.ndarray) -> Tool:
-        """The tool's pixels that nothing hides.
+def paint(tool: Tool, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
+    """Draw a tool into class codes [H, W], linear light [H, W, 3] and depth [H, W] [scene units], in place.
 
-        Args:
-            bare: pixels where nothing lies before the tissue, bool [H, W].
-            depth: depth of what else is in the picture, shape [H, W] [scene units].
-        """
-        pixels = self.rows, self.columns
-        kept = bare[pixels] | (self.depth < depth[pixels])
-        return Tool(self.rows[kept], self.columns[kept], self.depth[kept], self.light[kept])
-
-    def paint(self, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
-        """Draw it into class codes [H, W], linear light [H, W, 3] and depth [H, W] [scene units], in place."""
-        labels[self.rows, self.columns] = CLASSES["grasper"].grey
-        light[self.rows, self.columns] = self.light * np.square(EXPOSURE_DISTANCE / self.depth)[:, None]
-        depth[self.rows, self.columns] = self.depth
+    Fat hides the tool where it is nearer.
+    """
+    pixels, near, shade = tool
+    kept = (labels[pixels] != CLASSES["fat"].grey) | (near < depth[pixels])
+    pixels, near = (pixels[0][kept], pixels[1][kept]), near[kept]
+    labels[pixels], depth[pixels] = CLASSES["grasper"].grey, near
+    light[pixels] = shade[kept] * np.square(EXPOSURE_DISTANCE / near)[:, None]
 
 
 def tip_offset(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
@@ -114,7 +98,7 @@ def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView, ray
     if touching:
         keel = (along <= KEEL_LENGTH) & (np.abs(across) <= KEEL_WIDTH)
         depth[keel] = tip_depth - (TIP_GAP + 0.3 * np.abs(across[keel])) * scene.spacing
-    return Tool(row, column, depth.astype(np.float32), _light(along, across, section, bulge))
+    return (row, column), depth.astype(np.float32), _light(along, across, section, bulge)
 
 
 def _draw_passage(scene: Scene, passage: Passage, frame: int, view: SheetView, rays: np.ndarray) -> Tool:
@@ -129,7 +113,7 @@ def _draw_passage(scene: Scene, passage: Passage, frame: int, view: SheetView, r
     light = _light(jaws, section * radius / scene.spacing, section, bulge)
     # A dent is narrower than the tool, which would be inside the tissue around it.
     depth = np.minimum(depth, view.depth - TIP_GAP * scene.spacing)[row, column]
-    return Tool(row, column, depth.astype(np.float32), light)
+    return (row, column), depth.astype(np.float32), light
 
 
 def jaw_width(along: np.ndarray) -> np.ndarray:

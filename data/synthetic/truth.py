@@ -34,7 +34,7 @@ STEP = PressShape()
 STILL = np.zeros(2)
 """No travel."""
 LEAST_SLIDING = 3.0
-"""Least radius of a patch that slides [grid px]: it covers many vertices, so that its force moves smoothly."""
+"""Least radius of a patch that slides [grid px]; its force is a Gaussian of half the radius, which moves smoothly."""
 
 Regime = Literal["under-damped", "critical", "over-damped"]
 REGIMES: tuple[Regime, ...] = get_args(Regime)
@@ -283,18 +283,13 @@ class _Pressing(NamedTuple):
     """Relative stiffness over the grid, shape [h, w]; None = 1 everywhere."""
     travel: np.ndarray = STILL
 
-    def load_at(self, window: MeshWindow, time: float) -> Press:
-        """The load at a time since its start."""
+    def shares(self, window: MeshWindow, time: float) -> tuple[np.ndarray | slice, np.ndarray]:
+        """Vertices under load at a time since its start, and the share of the force on each."""
         if not self.travel.any():
-            return window.press
-        row, column = self.travel * min(time / self.load, 1.0)
-        return _press(replace(self.shape, offset=(row, column)), window.mesh, window.contact, window.press.direction)
-
-
-def _press(shape: PressShape, mesh: Mesh, vertex: int, direction: np.ndarray) -> Press:
-    if not shape.radius:
-        return Press.at(vertex, direction, np.ones(1))
-    return Press.on_patch(mesh, vertex, shape.radius, direction, np.ones(1), shape.offset)
+            return window.press.vertices, window.press.weights
+        apart = window.mesh.pixels - window.mesh.pixels[window.contact] - self.travel * min(time / self.load, 1.0)
+        weights = np.exp(-2 * np.square(apart).sum(axis=1) / self.shape.radius**2)
+        return slice(None), weights / weights.sum()
 
 
 def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
@@ -314,7 +309,7 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: P
     if variation is not None:
         relative = variation[tuple(mesh.pixels.T)][mesh.springs].mean(axis=1)
     contact = int(np.searchsorted(vertices, scene.vertex))
-    press, held = _press(shape, mesh, contact, shape.leaning(scene.direction)), mesh.rim.copy()
+    press, held = shape.press(mesh, contact, scene.direction, 1.0, 1.0, 1), mesh.rim.copy()
     held[press.vertices] = False
     lengths = np.linalg.norm(edges, axis=1)
     return MeshWindow(mesh, vertices, difference, edges, lengths, relative, held, cut, contact, press)
@@ -329,45 +324,40 @@ def _integrate(
     where it cuts the mesh.
     """
     radius = _reach(scene, press.theta, max(coarse[-1], fine[-1])) + math.ceil(np.linalg.norm(press.travel))
-    largest = max(scene.mesh.grid_shape)
+    largest, times = max(scene.mesh.grid_shape), np.union1d(coarse, fine)
     while True:
         window = cut_window(scene, radius, press.variation, press.shape)
-        displaced, response = _solve(scene, window, press, coarse, fine)
+        require_room(len(coarse) * len(window.vertices) * 3)
+        states = _solve(scene, window, press, times)
+        displaced = states[np.searchsorted(times, coarse)]
         # Displacements of the vertices that a spring joins to the cut.
         joined = abs(window.difference)
         neighbours = (joined.T @ (joined @ window.cut.astype(np.float64))) > 0
         leak = np.abs(displaced[:, neighbours]).max(initial=0)
         if leak <= 1e-6 or radius >= largest:
-            return window, displaced, response
+            return window, displaced, states[np.searchsorted(times, fine), window.contact]
         radius = math.ceil(1.5 * radius)
 
 
-def _solve(
-    scene: Scene, window: MeshWindow, press: _Pressing, coarse: np.ndarray, fine: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Integrate press and release separately, since the force may jump between them."""
-    count, load = len(window.vertices), press.load
+def _solve(scene: Scene, window: MeshWindow, press: _Pressing, times: np.ndarray) -> np.ndarray:
+    """Displacements at ascending times, shape [T, M, 3]; press and release apart, since the force may jump between."""
+    count, load, end = len(window.vertices), press.load, times[-1]
     state, tolerances = np.zeros(6 * count), {"rtol": RELATIVE_TOLERANCE, "atol": ABSOLUTE_TOLERANCE}
-    require_room(len(coarse) * count * 3)
-    displaced, response = np.zeros((len(coarse), count, 3)), np.zeros((len(fine), 3))
-    end = max(coarse[-1], fine[-1])
-    for start, stop, pressed in ((0.0, min(load, end), True), (load, end, False)):
+    displaced = np.zeros((len(times), count, 3))
+    for start, stop, force in ((0.0, min(load, end), press.theta[2]), (load, end, 0.0)):
         if stop <= start:
             continue
-        times = np.unique(np.concatenate((coarse, fine, [stop])))
-        times = times[(times > start) & (times <= stop)]
-        rate = _rate(scene.settings, window, press, press.theta[2] * pressed)
-        solution = solve_ivp(rate, (start, stop), state, "DOP853", times, **tolerances)
+        inside = (times > start) & (times <= stop)
+        wanted = np.union1d(times[inside], stop)
+        rate = _rate(scene.settings, window, press, force)
+        solution = solve_ivp(rate, (start, stop), state, "DOP853", wanted, **tolerances)
         if not solution.success:
             raise SceneError(
                 f"The motion at θ = {press.theta} can't be integrated ({solution.message}); narrow the θ box."
             )
-        states = solution.y.T.reshape(len(times), 2, count, 3)[:, 0]
-        for wanted, result, part in ((coarse, displaced, slice(None)), (fine, response, window.contact)):
-            chosen = np.flatnonzero((wanted > start) & (wanted <= stop))
-            result[chosen] = states[np.searchsorted(times, wanted[chosen]), part]
+        displaced[inside] = solution.y.T.reshape(len(wanted), 2, count, 3)[: inside.sum(), 0]
         state = solution.y[:, -1]
-    return displaced, response
+    return displaced
 
 
 def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, force: float):
@@ -390,9 +380,9 @@ def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, force: 
             # At an elongation of 0.01 springs have grown (1 + β) times as stiff.
             tension *= 1 + settings.nonlinearity * np.square(elongation / 0.01)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
-        load = press.load_at(window, time)
-        push = force * force_factor(press.shape, np.asarray(time), press.load) * np.outer(load.weights, load.direction)
-        forces[load.vertices] += push
+        loaded, shares = press.shares(window, time)
+        push = force * force_factor(press.shape, np.asarray(time), press.load)
+        forces[loaded] += push * np.outer(shares, window.press.direction)
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()
 
     return rate

@@ -89,12 +89,11 @@ def draw_passage(scene: Scene, motion: TrueMotion, generator: np.random.Generato
     if not motion.in_contact.any():
         begin, end = draw_contact_frames(settings, generator)
         radius = generator.uniform(*settings.patch_radius)
-    if settings.action == "pass":
-        begin, end = 0, settings.frames
-        far = np.append(draw_way(scene, "travel", 1.0, generator) * scene.spacing, 0.0)
-        far -= far @ scene.direction * scene.direction
-        tip = tip + np.linspace(-1, 1, settings.frames)[:, None] * far
-    if not motion.in_contact.any():
+        if settings.action == "pass":
+            begin, end = 0, settings.frames
+            far = np.append(draw_way(scene, "travel", 1.0, generator) * scene.spacing, 0.0)
+            far -= far @ scene.direction * scene.direction
+            tip = tip + np.linspace(-1, 1, settings.frames)[:, None] * far
         lift = math.exp(generator.uniform(*np.log(settings.hover_height)))
         height = scene.sheet.depth(*(tip[:, :2] / tip[:, 2:]).T) - tip[:, 2]
         tip = tip + (lift - height.min()) * towards

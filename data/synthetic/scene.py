@@ -201,11 +201,7 @@ def draw_way(scene: Scene, name: str, unit: float, generator: np.random.Generato
     for _ in range(100):
         far = generator.uniform(*lengths) / unit * _direction(generator.uniform(0, 2 * np.pi))
         end = scene.mesh.pixels[scene.vertex, ::-1] + far
-        if (
-            (end > TIP_MARGIN).all()
-            and (end < size - TIP_MARGIN).all()
-            and inner[tuple(np.rint(end[::-1]).astype(int))]
-        ):
+        if np.minimum(end, size - end).min() > TIP_MARGIN and inner[tuple(np.rint(end[::-1]).astype(int))]:
             return far
     raise SceneError(f"scene.{name} {lengths} leaves the picture; choose smaller.")
 

@@ -19,7 +19,7 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
-OWN = {PressedMotion: ("response", "force", "touched"), GrippedMotion: ("log_stiffness", "reaction", "course")}
+OWN = {"PressedMotion": ("response", "force", "touched"), "GrippedMotion": ("log_stiffness", "reaction", "course")}
 """Arrays of truth.npz that one kind of motion alone has."""
 UNITS = "scene units (stored depth over its type's largest value), s; stiffness, damping and force normalised, not N"
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
@@ -52,8 +52,8 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
     filled view, the point of the tool that touches. Of a press: response [R, 3], the contact vertex every 5 ms from the
     force's start (onset_s + force_delay_s), the first 5 ms after it; force [F], signed, just after each frame's time;
     touched [F], the mesh vertex that the tool touches. Of a grip: log_stiffness [h, w], relative to the mean at every
-    grid pixel; reaction [F, 2], what holds the tissue over k_s along the picture's axes; course [F, 2], the tool's tip
-    from the contact vertex in the picture, columns and rows [grid px].
+    grid pixel; reaction [F, 2], what holds the tissue over k_s along the picture's axes; course [F, 2], the tip of
+    an island's tool from the contact vertex in the picture, columns and rows [grid px].
     """
     settings, mesh = scene.settings, scene.mesh
     camera = dataclasses.asdict(reported_camera(scene.camera, settings))
@@ -63,7 +63,7 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
     arrays |= {"moving": motion.moving.astype(np.int32), "field": motion.field.astype(np.float16)}
     tool = {} if motion.passage is None else vars(motion.passage)
     arrays |= {name: value for name, value in tool.items() if name == "tip"}
-    np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in OWN[type(motion)]})
+    np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in OWN[type(motion).__name__]})
     truth = {
         "seed": seed,
         "action": settings.action,

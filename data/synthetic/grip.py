@@ -40,7 +40,7 @@ class GrippedMotion(TrueMotion):
     """True motion of a sheet that a tool holds from its first frame in contact to the clip's end."""
 
     course: np.ndarray
-    """Offset of the tip from the contact vertex in the picture, shape [F, 2] [grid px]; 0 in contact."""
+    """Offset of an island's tool from the contact vertex in the picture, shape [F, 2] [grid px]; 0 in contact."""
     anchor: float
     """Foundation of a node over the stiffness of a spring, nodes a grid px apart and joined along both diagonals."""
     damping: float

@@ -13,7 +13,7 @@ import pandas as pd
 from benchmarks.harness import Row
 from benchmarks.recovery.scores import coverage, rms
 from palpate.data.synthetic.grip import GrippedMotion
-from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.scene import Scene, project
 from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
@@ -46,6 +46,8 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
     held = vertex[:2] + motion.contact[:, :2]
     place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
     tip = place + motion.course * scene.settings.cell
+    if motion.passage is not None:
+        tip = project(motion.passage.tip, camera)
     steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
     # Tool or tissue moves where either has gone so far since the frame before [px].
     return np.append(False, steps > 1.0)

@@ -2,8 +2,8 @@
 
 Clip i of a split has the same truth in every suite, because errors of observation have random streams of their own
 (`data.synthetic.clip.draw_truth`); `mismatch` moves otherwise on the same geometry, `late-onset` moves the same, but
-later, and `oblique` has other geometry. Regimes take turns: clip 0 is under-damped, 1 critical, 2 over-damped, 3
-under-damped again.
+later, and `oblique` and `filled` have other geometry. Regimes take turns: clip 0 is under-damped, 1 critical, 2
+over-damped, 3 under-damped again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

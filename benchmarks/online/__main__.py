@@ -85,10 +85,8 @@ class Online(Experiment):
             raise ValueError("--match chamfer tells Gauss–Newton's steps nothing; give --optimizer adam, or both.")
         least = min(self.frames_of.values())
         if self.every + HORIZON > least - 1:
-            raise ValueError(
-                f"--every {self.every} leaves no prediction {HORIZON} frames ahead within {least} frames; give fewer "
-                "or more --frames."
-            )
+            problem = f"--every {self.every} leaves no prediction {HORIZON} frames ahead within {least} frames;"
+            raise ValueError(f"{problem} give fewer or more --frames.")
         if not self.wanted:
             raise ValueError(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
 

@@ -85,10 +85,8 @@ class Benchmark(Experiment):
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""
         if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
-            raise ValueError(
-                f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
-                f"up, {LARGEST_SIZE} px a side at most."
-            )
+            problem = f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from"
+            raise ValueError(f"{problem} {'x'.join(map(str, GRID_SIZE))} up, {LARGEST_SIZE} px a side at most.")
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
         for name, flag, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):

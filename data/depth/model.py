@@ -153,10 +153,8 @@ class DepthModel:
         """The picture's part of the output, shape [h, w]."""
         map_ = output.squeeze()
         if map_.ndim != 2:
-            raise InputError(
-                f"{self.path} gives an output '{self._outputs[0]}' of shape {list(output.shape)}, which is not one "
-                "depth map; choose the preset that fits with depth.preset."
-            )
+            problem = f"{self.path} gives an output '{self._outputs[0]}' of shape {list(output.shape)},"
+            raise InputError(f"{problem} which is not one depth map; choose the preset that fits with depth.preset.")
         down, across = map_.shape[0] / placement.height, map_.shape[1] / placement.width
         top, left = round(placement.top * down), round(placement.left * across)
         bottom = max(top + 1, round((placement.top + placement.rows) * down))

@@ -67,15 +67,11 @@ class DepthSettings(Checked, group="depth."):
         super().__post_init__()
         of_file = self.source.lower().endswith(".onnx")
         if self.model is not None and (of_file or self.source in ("auto", *BUILT_IN)):
-            raise ValueError(
-                f"depth.model is '{self.model}' and belongs to a preset, while depth.source is {self.source}; give "
-                "that preset as depth.source, or leave depth.model out."
-            )
+            problem = f"depth.model is '{self.model}' and belongs to a preset, while depth.source is {self.source};"
+            raise ValueError(f"{problem} give that preset as depth.source, or leave depth.model out.")
         if self.preset is not None and not of_file:
-            raise ValueError(
-                f"depth.preset is '{self.preset}' and says how to read an .onnx file, while depth.source is "
-                f"{self.source}; give that file as depth.source, or leave depth.preset out."
-            )
+            problem = f"depth.preset is '{self.preset}' and says how to read an .onnx file, while depth.source is"
+            raise ValueError(f"{problem} {self.source}; give that file as depth.source, or leave depth.preset out.")
         if not 0 < self.near < self.far < math.inf:
             raise ValueError(f"depth.near is {self.near} and depth.far {self.far}; give 0 < near < far.")
 

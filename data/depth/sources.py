@@ -98,10 +98,8 @@ class StoredDepth(DepthSource):
             depth = values * (factor / largest)
         if depth.shape != (height, width):
             if abs(depth.shape[1] * height - depth.shape[0] * width) > max(height, width, *depth.shape):
-                raise InputError(
-                    f"{path} is {depth.shape[1]}x{depth.shape[0]} while its frame is {width}x{height}; "
-                    "store depth in the frame's aspect."
-                )
+                problem = f"{path} is {depth.shape[1]}x{depth.shape[0]} while its frame is {width}x{height};"
+                raise InputError(f"{problem} store depth in the frame's aspect.")
             depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
         return RawDepth(positive(depth))
 
@@ -242,10 +240,8 @@ def _read_numpy(path: Path, key: str | None, most: int) -> np.ndarray:
                 raise InputError(f"{path} holds {', '.join(loaded.files)}; name one of them as layout.depth_key.")
             size = loaded.zip.getinfo(f"{name}.npy").file_size
         if size > 8 * most + 2**16:  # 8 bytes a pixel, and a header
-            raise InputError(
-                f"{path} unpacks to {size / 2**20:.0f} MB, more than {LARGEST_MAP_RATIO} times its picture's pixels; "
-                "store depth at the picture's size."
-            )
+            problem = f"{path} unpacks to {size / 2**20:.0f} MB, more than {LARGEST_MAP_RATIO} times"
+            raise InputError(f"{problem} its picture's pixels; store depth at the picture's size.")
         return loaded if name is None else loaded[name]
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; store the frame's depth there or choose a depth model.") from error

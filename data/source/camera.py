@@ -53,10 +53,8 @@ class Camera(Checked):
         ratios = self.width / self.fx, self.height / self.fy, self.cx / (self.width or 1), self.cy / (self.height or 1)
         # Beyond this ratio the focal length is in millimetres.
         if max(map(abs, ratios)) > 50 and self.stated:
-            raise ValueError(
-                f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is none of "
-                f"a picture of {self.width:g}x{self.height:g}; give all in its pixels."
-            )
+            problem = f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is"
+            raise ValueError(f"{problem} none of a picture of {self.width:g}x{self.height:g}; give all in its pixels.")
         if len(self.distortion) not in COEFFICIENTS:
             counts = ", ".join(map(str, COEFFICIENTS))
             raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give one of {counts}.")

@@ -89,10 +89,8 @@ def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
         InputError: they are too small, or too long for their height.
     """
     if min(width, height) < LEAST_SIDE_PX or max(width, height) > LARGEST_ASPECT * min(width, height):
-        raise InputError(
-            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} "
-            f"and at most {LARGEST_ASPECT}:1."
-        )
+        problem = f"{printable(path)} has pictures of {width}x{height};"
+        raise InputError(f"{problem} give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} and at most {LARGEST_ASPECT}:1.")
     return width, height
 
 

@@ -115,10 +115,8 @@ class Calibration:
         if self.measured is not None:
             forces = measured_presses(runs, self.measured)
             if not forces:
-                raise NoEstimate(
-                    f"No results in newtons: in no run of contact with an estimate {LEAST_KNOWN} or more forces "
-                    "are known."
-                )
+                problem = "No results in newtons: in no run of contact with an estimate"
+                raise NoEstimate(f"{problem} {LEAST_KNOWN} or more forces are known.")
             frames = ", ".join(str(frame) for frame, *_ in forces)
             return scale_by_force(runs, forces, f"forces measured at frame {frames}")
         given = self.fields
@@ -127,10 +125,8 @@ class Calibration:
             at = np.array([given.force_time_s])
             here = [run for run in runs if run.pressing(at)[0]]
             if not here:
-                raise NoEstimate(
-                    f"No results in newtons: no press was estimated in contact at {given.force_time_s:g} s, when "
-                    "the force is known."
-                )
+                problem = f"No results in newtons: no press was estimated in contact at {given.force_time_s:g} s,"
+                raise NoEstimate(f"{problem} when the force is known.")
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
             source = f"known force of {given.force_N:g} N at frame {frame}"
             return scale_by_force(runs, [(frame, given.force_N, log_sd)], source)

@@ -238,8 +238,6 @@ def scale_by_stiffness(value: float, log_sd: float, length: ClipLength, source: 
         NoEstimate: the length of a scene unit isn't known.
     """
     if length.metres is None:
-        raise NoEstimate(
-            "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't; "
-            "give metres_per_depth in the camera file, or --shaft-diameter."
-        )
+        problem = "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't;"
+        raise NoEstimate(f"{problem} give metres_per_depth in the camera file, or --shaft-diameter.")
     return ForceScale(math.log(value * length.metres), log_sd**2, STIFFNESS, source, {})

@@ -154,10 +154,8 @@ def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overw
     if same and not overwrite and all(_is_as_recorded(folder / name) for name in {*files, *own_files(folder)}):
         return True
     if record and not same and not overwrite:
-        raise OutputError(
-            f"{folder}: holds results of other settings, of another model or version, or of frames that have "
-            "changed since; --overwrite replaces them, or choose another --output."
-        )
+        problem = f"{folder}: holds results of other settings, of another model or version, or of frames that"
+        raise OutputError(f"{problem} have changed since; --overwrite replaces them, or choose another --output.")
     _require_untouched(folder, files)
     return False
 

@@ -216,9 +216,8 @@ def settle(
     for iteration in range(_ITERATIONS):
         force, size = energy.out_of_balance(response, displacement)
         if not np.isfinite(size):
-            raise NoEquilibrium(
-                "an element is turned inside out, where the law isn't defined; give smaller load steps."
-            )
+            problem = "an element is turned inside out, where the law isn't defined;"
+            raise NoEquilibrium(f"{problem} give smaller load steps.")
         left = float(np.abs(force[~held]).max(initial=0.0))
         relative = left / size if size > 0 else 0.0
         if not moving and relative <= tolerance:

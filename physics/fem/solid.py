@@ -138,9 +138,8 @@ def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> 
     quality = qualities(nodes, tetrahedra)
     bad = np.flatnonzero(quality < _FLAT)
     if len(bad):
-        raise ValueError(
-            f"{len(bad)} of {len(tetrahedra)} tetrahedra are inverted or flat, number {bad[0]} first; mesh anew."
-        )
+        problem = f"{len(bad)} of {len(tetrahedra)} tetrahedra are inverted or flat, number {bad[0]} first;"
+        raise ValueError(f"{problem} mesh anew.")
     edges = nodes[tetrahedra[:, 1:]] - nodes[tetrahedra[:, :1]]
     slopes = np.linalg.inv(edges).transpose(0, 2, 1)
     barycentric = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)  # of the four coordinates

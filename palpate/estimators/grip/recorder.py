@@ -77,17 +77,14 @@ class GripRecorder:
         """
         half, points = len(self._kept) // 2, self._follower.points.astype(np.float64)
         if half < LEAST_FRAMES:
-            raise NoEstimate(
-                f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than "
-                f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
-            )
+            problem = f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than"
+            raise NoEstimate(f"{problem} {LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed.")
         times, moved, own = (np.array(values, np.float64) for values in zip(*self._kept, strict=True))
         seen = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
         gripped = seen & (self._follower.distance < DRIVEN)
         if gripped.sum() < LEAST_GRIPPED:
-            raise NoEstimate(
-                f"{gripped.sum()} tissue points at the instrument are seen in all frames; {LEAST_GRIPPED} are needed."
-            )
+            problem = f"{gripped.sum()} tissue points at the instrument are seen in all frames;"
+            raise NoEstimate(f"{problem} {LEAST_GRIPPED} are needed.")
         terms = affine_terms(points)
         # Known at all points that are seen, and affine.
         background = np.linalg.lstsq(terms[seen], np.hstack([*(moved - own)[:, seen]]), rcond=None)[0]

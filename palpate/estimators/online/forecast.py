@@ -44,9 +44,8 @@ class Lattice:
         shown = [(frame, near) for frame, near in shown if near.gripped.any() and near.around.any()]
         shown = [(frame, near) for frame, near in shown if length(near.moved[near.around]) > LEAST_MOTION]
         if not shown:
-            raise NothingMoves(
-                f"In none of {len(frames)} frames the tissue near the tool moves by {LEAST_MOTION:g} px."
-            )
+            problem = f"In none of {len(frames)} frames the tissue near the"
+            raise NothingMoves(f"{problem} tool moves by {LEAST_MOTION:g} px.")
 
         def off(ratio: float) -> float:
             errors = [

@@ -96,10 +96,8 @@ def fit_material(
     normals = Match.of(contacts, skin.vertices, skin.triangles).normal
     for number, (each, normal) in enumerate(zip(palpations, normals, strict=True), start=1):
         if each.force @ normal > 0:
-            raise ValueError(
-                f"the force of palpation {number} points out of the body; give what the tool does to the body, the "
-                "negative of what a sensor in its handle feels."
-            )
+            problem = f"the force of palpation {number} points out of the body; give what the tool does to the body,"
+            raise ValueError(f"{problem} the negative of what a sensor in its handle feels.")
     bench = Bench(skin, held, palpations)
     poisson = 0.3  # to begin at
     rests = bench.rests(Material("linear", settings.young, poisson), [None] * len(palpations))

@@ -75,10 +75,8 @@ class Skin:
         """
         within = np.count_nonzero(np.linalg.norm(self.vertices - place, axis=1) < radius)
         if within < 3:
-            raise ValueError(
-                f"{within} vertices lie within {radius:g} m of the contact {np.round(place, 4)}; "
-                "give a contact on the surface, a wider tool or a finer surface."
-            )
+            problem = f"{within} vertices lie within {radius:g} m of the contact {np.round(place, 4)};"
+            raise ValueError(f"{problem} give a contact on the surface, a wider tool or a finer surface.")
         # Integrated over the triangles: sums over vertices alone would shift and widen the patch.
         shares = even_shares(4)
         corners = self.vertices[self.triangles]

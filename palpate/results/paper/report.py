@@ -61,10 +61,8 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         EvaluationError: there are no records.
     """
     if not records:
-        raise EvaluationError(
-            "no test pair is in contact, so there is nothing to evaluate; check the split and the counts by status "
-            "that the data preparation prints."
-        )
+        problem = "no test pair is in contact, so there is nothing to evaluate;"
+        raise EvaluationError(f"{problem} check the split and the counts by status that the data preparation prints.")
     records = sorted(records, key=lambda record: (record["clip"], record["frame"]))
     contacts = [Interaction(one["mesh"], one["load"], one["observation"], mechanics.time_step) for one in records]
     names = "theta", "trajectory", "reference_trajectory"

@@ -12,6 +12,8 @@ import numpy as np
 
 from palpate.physics.mesh import Mesh
 
+Pair = tuple[float, float]
+
 
 @dataclass(frozen=True, eq=False)
 class Press:
@@ -47,13 +49,7 @@ class Press:
 
     @classmethod
     def on_patch(
-        cls,
-        mesh: Mesh,
-        vertex: int,
-        radius: float,
-        direction: np.ndarray,
-        factor: np.ndarray,
-        offset: tuple[float, float] = (0.0, 0.0),
+        cls, mesh: Mesh, vertex: int, radius: float, direction: np.ndarray, factor: np.ndarray, offset: Pair = (0, 0)
     ) -> Press:
         """Spread smoothly, as 1 - (r/R)², over the vertices less than `radius` grid pixels from a place.
 
@@ -159,13 +155,13 @@ class PressShape:
 
     radius: float = 0.0
     """R of `Press.on_patch` [grid pixels]; 0 = on one vertex."""
-    offset: tuple[float, float] = (0.0, 0.0)
+    offset: Pair = (0.0, 0.0)
     """Of the patch's middle from the contact vertex, rows and columns [grid pixels]."""
     rise: float = 0.0
     """How long the force takes to rise to F [s]."""
     fall: float = 0.0
     """How long it takes to fall from F to nothing, before the load's end [s]."""
-    lean: tuple[float, float] = (0.0, 0.0)
+    lean: Pair = (0.0, 0.0)
     """Of the direction along which a positive F acts: its part along the surface, towards the picture's right and
     towards its lower side, over that along the normal."""
 

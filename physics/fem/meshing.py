@@ -36,11 +36,7 @@ def around(places: np.ndarray, radius: float, edge: float) -> Longest:
         radius: within which edges are at most
         edge: so long, and farther off by GROWTH longer [m].
     """
-
-    def longest(there: np.ndarray) -> np.ndarray:
-        return edge + GROWTH * np.maximum(KDTree(places).query(there)[0] - radius, 0.0)
-
-    return longest
+    return lambda there: edge + GROWTH * np.maximum(KDTree(places).query(there)[0] - radius, 0.0)
 
 
 def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple[np.ndarray, np.ndarray]:
@@ -126,8 +122,6 @@ def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tup
 
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
-_OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
-"""Of the rays from the cells' centres, in cells: on the grid they would meet edges."""
 
 
 class NoBody(ValueError):
@@ -145,12 +139,7 @@ class Meshed:
 
 
 def mesh_surface(
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    *,
-    cells: int = 16,
-    floor: Floor = None,
-    longest: Longest | None = None,
+    vertices: np.ndarray, triangles: np.ndarray, *, cells: int = 16, floor: Floor = None, longest: Longest | None = None
 ) -> Meshed:
     """Fill a surface.
 
@@ -187,21 +176,22 @@ def mesh_surface(
         raise NoBody("the surface encloses nothing; give a closed one, or more cells.")
     if floor is not None:
         inside &= centres[..., floor[0]] > floor[1]
-    places, tetrahedra = fill_cells(_largest_part(inside))
+    parts = label(inside)[0]
+    # The most cells that hang together.
+    places, tetrahedra = fill_cells(parts == 1 + np.bincount(parts.ravel(), minlength=2)[1:].argmax())
     drawn = functools.partial(_drawn, corners=corners, samples=samples, floor=floor)
     nodes = drawn(origin + sides * places, tetrahedra)
     if longest is not None:
-        nodes, tetrahedra = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
+        for _ in range(3):  # flat outer elements are left out, and the others drawn anew
+            flat = _flat(nodes, tetrahedra)
+            if not flat.any() or flat.all():
+                break
+            kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
+            tetrahedra = left.reshape(-1, 4)
+            nodes = drawn(nodes[kept], tetrahedra)
+        nodes, tetrahedra = refine(nodes, tetrahedra, longest)
         nodes = drawn(nodes, tetrahedra)
     return Meshed(nodes, tetrahedra)
-
-
-def _largest_part(inside: np.ndarray) -> np.ndarray:
-    """The most cells that hang together, shape [I, J, K], bool."""
-    parts, count = label(inside)
-    if count < 2:
-        return inside
-    return parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
 
 
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -233,11 +223,12 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Which cells more than half of six rays call inside, shape [I, J, K], bool."""
     votes = np.zeros(centres.shape[:3], np.int64)
     sides = centres[1, 1, 1] - centres[0, 0, 0]
+    off = sides * [3.1e-4, 1.7e-4, 2.3e-4]  # of the rays from the cells' centres: on the grid they would meet edges
     for axis in range(3):
         one, two = (axis + 1) % 3, (axis + 2) % 3
         order = (axis, one, two)
         grid = np.transpose(centres, (*order, 3))  # along the rays first
-        flat = grid[0].reshape(-1, 3)[:, [one, two]] + (sides * _OFF)[[one, two]]
+        flat = grid[0].reshape(-1, 3)[:, [one, two]] + off[[one, two]]
         depth = grid[:, 0, 0, axis]
         first, second, third = (corners[:, corner][:, [one, two]] for corner in range(3))
         square = _cross(second - first, third - first)
@@ -258,20 +249,6 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
         found = (below % 2) + ((hits - below) % 2)
         votes += np.transpose(found.reshape(grid.shape[:3]), np.argsort(order))
     return votes > 3
-
-
-def _without_flat(
-    nodes: np.ndarray, tetrahedra: np.ndarray, drawn: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """A mesh without its flat outer elements, `drawn` anew each time that some are left out."""
-    for _ in range(3):
-        flat = _flat(nodes, tetrahedra)
-        if not flat.any() or flat.all():
-            break
-        kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
-        tetrahedra = left.reshape(-1, 4)
-        nodes = drawn(nodes[kept], tetrahedra)
-    return nodes, tetrahedra
 
 
 def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:

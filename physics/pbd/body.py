@@ -105,19 +105,17 @@ def make_body(
     held = np.zeros(count, bool) if pinned is None else np.asarray(pinned, bool)
     if held.shape != (count,):
         raise ValueError(f"pinned has shape {held.shape}; give one entry a particle, {count}.")
-    edges = _edges(triangles, fours)
+    # Pairs that some triangle or tetrahedron joins, each once.
+    edges = [
+        triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2),
+        fours[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]].reshape(-1, 2),
+    ]
+    edges = np.unique(np.sort(np.concatenate(edges), axis=1), axis=0)
     lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
     if not (lengths > 0).all():
         raise ValueError("two particles that an edge joins lie in one place; merge them.")
     layout = _layout(rest, edges, fours, lengths)
     return Body(rest, held, edges, fours, triangles, layout)
-
-
-def _edges(triangles: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Pairs of particles that some triangle or tetrahedron joins, each once, shape [E, 2]."""
-    of_triangles = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    of_tetrahedra = tetrahedra[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]].reshape(-1, 2)
-    return np.unique(np.sort(np.concatenate([of_triangles, of_tetrahedra]), axis=1), axis=0)
 
 
 def _layout(rest: np.ndarray, edges: np.ndarray, tetrahedra: np.ndarray, lengths: np.ndarray) -> Layout:

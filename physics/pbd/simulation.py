@@ -123,8 +123,7 @@ def _paths(grips: Grips, body: Body) -> tuple[np.ndarray, np.ndarray]:
 def _states(values: np.ndarray, body: Body) -> np.ndarray:
     """Positions of all particles, shape [B, N, 3]."""
     found = np.asarray(values, np.float64)
-    if found.ndim == 2:
-        found = found[None]
+    found = found[None] if found.ndim == 2 else found
     if found.ndim != 3 or found.shape[1:] != body.rest.shape:
         raise ValueError(f"start has shape {np.shape(values)}; give {body.rest.shape}, or a batch of it.")
     if not np.isfinite(found).all():

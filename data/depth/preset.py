@@ -103,9 +103,8 @@ def load_preset(name: str | Path) -> DepthPreset:
     """
     path = Path(name)
     if path.suffix.lower() not in (".yaml", ".yml"):
-        if str(name) not in preset_names():
-            problem = f"'{name}' is no depth preset;"
-            raise InputError(f"{problem} choose one of {', '.join(preset_names())}, or a .yaml file.")
+        if str(name) not in (names := preset_names()):
+            raise InputError(f"'{name}' is no depth preset; choose one of {', '.join(names)}, or a .yaml file.")
         path = PRESET_FOLDER / f"{name}.yaml"
     return from_mapping(DepthPreset, {"name": path.stem} | read_mapping(path, "a depth preset"), str(path))
 

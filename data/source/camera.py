@@ -17,8 +17,6 @@ from palpate.data.source.layout import ClipLayout, InputError, from_mapping, rea
 
 MOST_SIDE = 4096
 """Longest side of a grid, and of a network's input [px]."""
-COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-"""Numbers of distortion coefficients that OpenCV takes."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +53,9 @@ class Camera(Checked):
         if max(map(abs, ratios)) > 50 and self.stated:
             problem = f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is"
             raise ValueError(f"{problem} none of a picture of {self.width:g}x{self.height:g}; give all in its pixels.")
-        if len(self.distortion) not in COEFFICIENTS:
-            counts = ", ".join(map(str, COEFFICIENTS))
-            raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give one of {counts}.")
+        if len(self.distortion) not in (0, 4, 5, 8, 12, 14):  # what OpenCV takes
+            problem = f"The camera has {len(self.distortion)} distortion coefficients"
+            raise ValueError(f"{problem}; give one of 0, 4, 5, 8, 12, 14.")
 
     @property
     def stated(self) -> bool:
@@ -225,9 +223,8 @@ class Undistortion:
     """
 
     def __init__(self, camera: Camera, turn: np.ndarray | None = None, seen: np.ndarray | None = None) -> None:
-        lens = camera.matrix, np.array(camera.distortion, float)
-        to = turn, camera.matrix if seen is None else seen, (camera.width, camera.height)
-        self._maps = cv2.initUndistortRectifyMap(*lens, *to, cv2.CV_32FC1)
+        lens, seen = (camera.matrix, np.array(camera.distortion, float)), camera.matrix if seen is None else seen
+        self._maps = cv2.initUndistortRectifyMap(*lens, turn, seen, (camera.width, camera.height), cv2.CV_32FC1)
 
     def image(self, image: np.ndarray) -> np.ndarray:
         """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""

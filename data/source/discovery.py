@@ -6,14 +6,7 @@ from pathlib import Path
 
 from palpate.data.source.bags import is_bag
 from palpate.data.source.images import printable
-from palpate.data.source.layout import (
-    IMAGE_SUFFIXES,
-    ClipLayout,
-    InputError,
-    companion_folders,
-    frame_files,
-    list_folder,
-)
+from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, folders_beside, frame_files, list_folder
 from palpate.data.source.lerobot import episodes_in, file_of
 
 VIDEO_SUFFIX = re.compile(
@@ -75,7 +68,7 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
                 found.append(folder)
                 continue
             entries = [entry for entry in list_folder(folder) if not entry.name.startswith(".")]
-            companions = companion_folders(folder)
+            companions = folders_beside(folder)
             others = [entry for entry in entries if entry not in companions] if companions else []
             if any(VIDEO_SUFFIX.fullmatch(e.suffix) or (isdir(e) and frame_files(e, layout)) for e in others):
                 entries = others

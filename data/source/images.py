@@ -44,31 +44,28 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
     return decode_image(content, printable(path), flags, most)
 
 
-def decode_image(
-    content: bytes, named: str, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS
-) -> np.ndarray:
-    """Decode an image file's bytes; arguments as of `read_image`, `named` begins the error message.
+def decode_image(content: bytes, name: str, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS) -> np.ndarray:
+    """Decode an image file's bytes; arguments as of `read_image`, `name` begins the error message.
 
     Raises:
         InputError: empty, truncated, undecodable or too large content.
     """
     if not content:
-        raise InputError(f"{named} is an empty file (0 bytes); copy it again.")
+        raise InputError(f"{name} is an empty file (0 bytes); copy it again.")
     width, height = (int.from_bytes(content[place : place + 4], "big") for place in (16, 20))
     if content[12:16] == b"IHDR":
         if width * height > most != MOST_PIXELS:
-            problem = f"is {width}x{height}, far larger than its picture; store it at that size"
-            raise InputError(f"{named} {problem}.")
-        require_pixels(named, width, height)
+            raise InputError(f"{name} is {width}x{height}, far larger than its picture; store it at that size.")
+        require_pixels(name, width, height)
     image = None
     if not _truncated(content):
         try:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except cv2.error as error:
             if "MAX_IMAGE" in str(error):
-                raise InputError(f"{named} is more than {_PIXEL_LIMIT}.") from error
+                raise InputError(f"{name} is more than {_PIXEL_LIMIT}.") from error
     if image is None:
-        raise InputError(f"{named} can't be decoded as an image (truncated or damaged); copy it again.")
+        raise InputError(f"{name} can't be decoded as an image (truncated or damaged); copy it again.")
     return image
 
 

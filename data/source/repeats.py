@@ -18,14 +18,14 @@ MOST_GAPS = 5
 STILL = 0.25
 """Largest change of a repeat over that of the pictures around it. In 54 encoded clips repeats reached 0.25 where tissue
 moved visibly, and other pictures stayed above 0.39."""
+
+
 HISTORY, LEAST_HISTORY = 5, 3
 """Most and fewest changes by which the next one is judged."""
-CELL = 8
-"""Side of the squares over which differences are averaged [px]."""
 
 
 class _Change(NamedTuple):
-    """Difference of two pictures, in levels of green, averaged over squares."""
+    """Difference of two pictures, in levels of green, averaged over squares of 8 px."""
 
     largest: float
     median: float
@@ -33,8 +33,7 @@ class _Change(NamedTuple):
 
 def _change(before: np.ndarray, after: np.ndarray) -> _Change:
     height, width = after.shape
-    size = max(width // CELL, 1), max(height // CELL, 1)
-    difference = cv2.absdiff(before, after).astype(np.float32)
+    difference, size = cv2.absdiff(before, after).astype(np.float32), (max(width // 8, 1), max(height // 8, 1))
     squares = cv2.resize(difference, size, interpolation=cv2.INTER_AREA)
     return _Change(float(squares.max()), float(np.median(squares)))
 

@@ -9,8 +9,7 @@ from palpate.data.source.sequence import Sequence
 
 LARGEST, SMALLEST = 2.0, 1e-3
 """Tissue that is wider or narrower has another unit [m]."""
-LOOKED_AT, THINNED = 150, 3000
-"""Frames, and points of each, by which frames of coordinates are compared."""
+
 NEAR = 0.01
 """A tip that never comes so near to the tissue, while it holds it, is in another frame [m]."""
 
@@ -22,10 +21,11 @@ def require_fit(sequence: Sequence) -> None:
         InputError: it doesn't, a sentence that says what to mend; or a file can't be used.
     """
     held, first = sequence.held, sequence.first[1]
-    frames = np.unique(np.linspace(held[0], held[-1], min(len(held), LOOKED_AT)).round().astype(int))
+    # Frames of coordinates are compared by 150 frames, and 3000 points of each.
+    frames = np.unique(np.linspace(held[0], held[-1], min(len(held), 150)).round().astype(int))
     _require_metres(sequence, first)
     clouds = ((frame, first if frame == held[0] else sequence.cloud(frame)) for frame in frames)
-    trees = {frame: KDTree(each[:: len(each) // THINNED + 1]) for frame, each in clouds if len(each)}
+    trees = {frame: KDTree(each[:: len(each) // 3000 + 1]) for frame, each in clouds if len(each)}
     _require_frame(sequence, [*trees.values()], sequence.tool.tips(sequence.times[[*trees]]))
     if sequence.points is not None:
         there = sequence.points[held[0]]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
+from scipy.integrate import cumulative_trapezoid
 
 from palpate.physics.identifiability import NINETY
 from palpate.planning.press import simulate_press
@@ -23,8 +24,6 @@ BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), l
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
 AT_ONCE = 50_000
 """Places of the tip whose loads are found at once."""
-SHAPE_SD, WORK_SD = 0.45, 0.56
-"""Of the logarithm of forces, and of work: how far bodies of other shapes are from the block (docs/forces.md)."""
 
 
 def unit_press(poisson: float) -> np.ndarray:
@@ -33,8 +32,7 @@ def unit_press(poisson: float) -> np.ndarray:
     # So many that the energy, which is interpolated as the force is, is off by little.
     depth = np.linspace(0, found.lengths[-1], 81) / RADIUS
     force = np.interp(depth, found.lengths / RADIUS, found.force) / (BLOCK.young * RADIUS**2)
-    work = np.append(0.0, np.cumsum(np.diff(depth) * (force[1:] + force[:-1]) / 2))
-    return np.stack([depth, force, work])
+    return np.stack([depth, force, cumulative_trapezoid(force, depth, initial=0)])
 
 
 class PressingCosts:
@@ -50,7 +48,8 @@ class PressingCosts:
         self.start, self.goal, self.port = (np.array(place) for place in (scene.start, scene.goal, scene.port))
         self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
         """Of the grid, shape [2, 3] [m]."""
-        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [SHAPE_SD, WORK_SD])).tolist()
+        # How far bodies of other shapes are from the block, as logarithms of forces and of work (docs/forces.md).
+        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [0.45, 0.56])).tolist()
         """From a force, and from work, to the upper end of its 90 % interval, factors."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:

@@ -48,6 +48,11 @@ class Body:
         return len(self.rest)
 
     @cached_property
+    def edge(self) -> float:
+        """Mean length of edges at rest [m]."""
+        return float(self.layout.rest[self.kinds[0]].mean())
+
+    @cached_property
     def averages(self) -> csr_array:
         """Mean over every constraint's particles (Liang 2024, section II-A), shape [K, N]."""
         starts, members = self.layout.starts, self.layout.members

@@ -19,11 +19,6 @@ from palpate.physics.fem.solid import EDGES
 from palpate.physics.fem.surface import areas, closest, even_shares, nearest
 from palpate.physics.mesh import holding
 
-SAMPLES = 8
-"""Places on a sharp edge to which distances are measured."""
-FLAT = 0.1
-"""Cosine of the angle between sight and normal below which a sight isn't followed to the triangle's plane."""
-
 
 @dataclass(frozen=True, eq=False)
 class Skin:
@@ -48,7 +43,7 @@ class Skin:
         ends = self.vertices[np.concatenate([lone, sharp])]
         if not len(ends):
             return None
-        along = (np.arange(SAMPLES) + 0.5)[:, None, None] / SAMPLES
+        along = (np.arange(8) + 0.5)[:, None, None] / 8  # eight places on every edge
         return KDTree((ends[:, 0] + along * (ends[:, 1] - ends[:, 0])).reshape(-1, 3))
 
     def from_creases(self, places: np.ndarray) -> np.ndarray:
@@ -184,7 +179,7 @@ class Match:
             face[left] = nearest(places[left], corners)[0]
             where, normal, sight = corners[face[left]], normals[face[left]], sights[left]
             steep = (sight * normal).sum(axis=1)
-            steep = np.where(np.abs(steep) < FLAT, FLAT, steep)
+            steep = np.where(np.abs(steep) < 0.1, 0.1, steep)  # less steeply a plane isn't followed to
             distance[left] = ((points[left] - where[:, 0]) * normal).sum(axis=1) / steep
             places[left] = points[left] - distance[left, None] * sight
             shares[left] = closest(places[left], where)

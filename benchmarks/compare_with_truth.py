@@ -32,10 +32,6 @@ from palpate.estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.store import INTERACTIONS, RECORD
 
-COLUMNS = ("quantity", "estimate", "low", "high", "truth", "90 % interval")
-IN_LENGTHS = ("force", "force_over_stiffness")
-"""Quantities that count in the clip's unit of length."""
-
 
 class NoTruth(ValueError):
     """Results can't be compared with the truth; the message is a sentence."""
@@ -71,7 +67,7 @@ def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> p
 
     A video alone gives lengths, and forces with them, in a unit of its own only: these aren't judged.
     """
-    own_unit = () if Path(name).suffix == "" else IN_LENGTHS
+    own_unit = () if Path(name).suffix == "" else ("force", "force_over_stiffness")  # what counts in lengths
     determined, lines = row["determined"].split(";"), []
     for quantity in REPORTED:
         estimate, low, high = (row.get(f"{quantity}{end}", "") for end in ("", "_low", "_high"))
@@ -85,7 +81,7 @@ def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> p
             judged = "in another unit" if quantity in own_unit else "held" if held else "missed"
             line |= {"low": float(low), "high": float(high), "90 % interval": judged}
         lines.append(line)
-    return pd.DataFrame(lines, columns=COLUMNS)
+    return pd.DataFrame(lines, columns=("quantity", "estimate", "low", "high", "truth", "90 % interval"))
 
 
 @dataclass(frozen=True)

@@ -207,8 +207,8 @@ def read_results(path: Path, keys: tuple[str, ...]) -> dict[tuple, Row]:
         try:
             key, row = _parsed(line, keys)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
-            problem = f"{path}: line {number} is not a result;"
-            raise OutputError(f"{problem} remove it or choose another --output.") from error
+            problem = f"{path}: line {number} is not a result"
+            raise OutputError(f"{problem}; remove it or choose another --output.") from error
         found[key] = row
     return found
 

@@ -35,10 +35,6 @@ from palpate.data.source.images import read_image
 from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
 from palpate.results.store import OutputError, make_output
 
-SIZE = (224, 384)
-"""Rows and columns of the pictures that are compared [px]."""
-HALO = 9
-"""Side of the square by which an instrument is widened before pixels count as stray [px]."""
 OWN, CLIP = "_tool", "_color_mask"
 """Endings of masks of own pictures, and of clips."""
 CLASSES = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbladder",))
@@ -94,13 +90,12 @@ def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[d
         began = time.perf_counter()
         labels = masks(frame)
         seconds = time.perf_counter() - began
-        found, true = (
-            cv2.resize(each.astype(np.uint8), SIZE[::-1], interpolation=cv2.INTER_NEAREST)
-            for each in (labels == TOOL, instrument(mask, labels.shape))
-        )
+        pair = (labels == TOOL).astype(np.uint8), instrument(mask, labels.shape)
+        found, true = (cv2.resize(each, (384, 224), interpolation=cv2.INTER_NEAREST) for each in pair)
         known, tool = true != 2, true == 1
         found = (found > 0) & known
-        near = cv2.dilate((true > 0).astype(np.uint8), np.ones((HALO, HALO))) > 0
+        # Pixels farther than four from an instrument count as stray.
+        near = cv2.dilate((true > 0).astype(np.uint8), np.ones((9, 9))) > 0
         union = (found | tool).sum()
         row = {"seconds": seconds, "stray": float((found & ~near).sum())}
         if tool.sum() < 20:

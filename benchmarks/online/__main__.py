@@ -29,7 +29,6 @@ from benchmarks.online.compare import BATCH, HORIZON, METHODS, STARTS, Key, Opti
 from benchmarks.online.sequences import SEQUENCES, Pull
 from palpate.common.settings import LARGEST
 
-DISTANCES = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
 STEP = "step on one core [s]"
 SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
 Start = Literal["k1", "k2", "k3"]
@@ -111,8 +110,9 @@ class Online(Experiment):
         """Every measure, and Table II."""
         cases = {key: rows[key] for key in self.wanted if key in rows}
         cells = []
+        distances = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
         for key, case in cases.items():
-            cells += [(*key, text, 1e3 * float(case[name].mean())) for text, name in DISTANCES.items()]
+            cells += [(*key, text, 1e3 * float(case[name].mean())) for text, name in distances.items()]
             cells += [(*key, "rank correlation of distances", case.get("rank")), (*key, STEP, case["seconds"])]
         frame, gaps = pd.DataFrame(cells, columns=(*self.keys, "measure", "value")), table(cases)
         steps = frame[frame["measure"] == STEP].pivot_table("value", "method", "sequence", "median").reset_index()

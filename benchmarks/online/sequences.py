@@ -33,13 +33,10 @@ STIFF = 3.0
 SPRINGS = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, 0.5), (1, -1, 0.5), (2, 0, 0.05), (0, 2, 0.05))
 """Of a sheet's net: nodes to the right and up, and stiffness over that of rows: along rows, along diagonals, and
 against bending."""
-DRAG = 1 / 0.005**2
-"""Of a sheet's area, over the stiffness of its soft springs [frames/m²]: 1 a particle, 5 mm apart."""
+
 YOUNG, POISSON = 5e3, 0.45
 """Of the soft part of a block; only ν and E over the drag count for where it is."""
-BLOCK_DRAG = YOUNG / (1.5 * 0.0075**2)
-"""Of a block's volume [Pa frames/m²]: 1 a particle, 7.5 mm apart, where springs of 1 along the edges and across the
-sides of cubes make a modulus of about 1.5 over that distance."""
+
 BLOCK_STEPS, SETTLED = 2, 1e-8
 """Implicit steps of a block a frame; largest force out of balance in each, over the largest at a node."""
 NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
@@ -129,19 +126,10 @@ class Sequence:
         for state in states:
             cloud = surface(points)
             clouds.append(cloud + state(cloud) + random.normal(0, NOISE, cloud.shape))
-        return Pull(
-            body,
-            gripped,
-            visible,
-            body.rest[gripped] + path[:, None],
-            np.stack(clouds),
-            _shares(body, visible, followed),
-            true[1:] + random.normal(0, NOISE, true[1:].shape),
-            true,
-            _spread_out(true),
-            np.where(self.stiff(body.rest), STIFF, 1.0),
-            np.stack([body.rest + state(body.rest) for state in states]),
-        )
+        tracks = _shares(body, visible, followed), true[1:] + random.normal(0, NOISE, true[1:].shape), true
+        truth = np.stack([body.rest + state(body.rest) for state in states])
+        observed = body.rest[gripped] + path[:, None], np.stack(clouds), *tracks, _spread_out(true)
+        return Pull(body, gripped, visible, *observed, np.where(self.stiff(body.rest), STIFF, 1.0), truth)
 
 
 def _held(rest: np.ndarray, block: bool) -> np.ndarray:
@@ -193,7 +181,8 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     stiffness = weights * (relative[first] + relative[second]) / 2
     lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
     ends = incidence(springs, len(rest))
-    drag = DRAG * (SIDE / (FINE - 1)) ** 2
+    # Drag over the stiffness of soft springs [frames/m²]: 1 a particle, 5 mm apart.
+    drag = 1 / 0.005**2 * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]
     # A node's springs pull at most twice their sum as fast as it moves: half of what is stable.
@@ -222,7 +211,9 @@ def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     held = np.broadcast_to((gripped | (nodes[:, 0] < 1e-9))[:, None], nodes.shape).copy()
     axes = tuple(np.linspace(0, side, cells + 1) for side, cells in zip(BLOCK, FINE_CELLS, strict=True))
     volumes = np.bincount(tetrahedra.ravel(), np.repeat(solid.volumes / 4, 4), len(nodes))
-    drag = diags_array(np.repeat(BLOCK_DRAG * BLOCK_STEPS * volumes, 3)).tocsr()
+    # Drag of a volume [Pa frames/m²]: 1 a particle, 7.5 mm apart, where springs of 1 along the edges and across the
+    # sides of cubes make a modulus of about 1.5 over that distance.
+    drag = diags_array(np.repeat(YOUNG / (1.5 * 0.0075**2) * BLOCK_STEPS * volumes, 3)).tocsr()
     now, near, before, states = np.zeros_like(nodes), None, np.zeros(3), []
     for after in path:
         for step in range(1, BLOCK_STEPS + 1):

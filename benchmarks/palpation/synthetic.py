@@ -14,8 +14,7 @@ from palpate.physics.fem.meshing import Longest, around, refine
 
 SENSORS = {"stereo": 0.0003, "time of flight": 0.001}
 """Noise along the line of sight [m]."""
-POSE_SHIFT, POSE_TURN = 0.002, 0.01
-"""By how much the tool's pose is off, standard deviations [m, rad]."""
+
 TOOL = 0.015
 """Radius of the tool [m]."""
 
@@ -158,5 +157,6 @@ def observe(
     true = np.eye(4)
     true[:3, :3] = Rotation.align_vectors([-direction], [[0, 0, 1.0]])[0].as_matrix()
     true[:3, 3] = eye
-    off = np.concatenate([chance.normal(0, POSE_TURN, 3), chance.normal(0, POSE_SHIFT, 3)])
+    # The tool's pose is off by standard deviations of 0.01 rad and 2 mm.
+    off = np.concatenate([chance.normal(0, 0.01, 3), chance.normal(0, 0.002, 3)])
     return Palpation(force, contact, (points - eye) @ true[:3, :3], turned(true, off), TOOL, 1.1 * TOOL)

@@ -42,10 +42,7 @@ NAMES = (DIRECT, "gan", "network")
 """Estimators in the order of tables."""
 LARGEST_SIZE = 4096
 """Largest side of the pictures [px]."""
-"""Fewer frames after the onset are refused by `direct`."""
 SHOWN_FAILURES = 8
-KINDS = ("press", "grip")
-"""Kinds of suites, in the order of tables."""
 DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
 Name = Literal["direct", "gan", "network"]
 
@@ -157,7 +154,7 @@ class Benchmark(Experiment):
         """Tables of presses and of grips."""
         order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
-        presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
+        presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in ("press", "grip"))
         judged = score_all(presses, self.onset)
         tables = {"table.csv": table(judged)} if judged else {}
         shown = [frame[frame["n"] > 0] for frame in tables.values()]

@@ -17,7 +17,6 @@ from palpate.data.synthetic.scene import Scene
 from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
-COLUMNS = ("suite", "quantity", "n", "rmse", "coverage90", "value")
 AVERAGES = {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}
 """Numbers of rows whose mean is in the table, and how it is called there."""
 
@@ -68,7 +67,7 @@ def grip_table(rows: Sequence[Row]) -> pd.DataFrame:
     """`grips.csv`: a row a suite and quantity, errors of the force over that of the last frame."""
     suites = dict.fromkeys(row["suite"] for row in rows)
     found = [{"suite": suite} | cells for suite in suites for cells in _quantities(rows, suite)]
-    return pd.DataFrame(found, columns=COLUMNS)
+    return pd.DataFrame(found, columns=("suite", "quantity", "n", "rmse", "coverage90", "value"))
 
 
 def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:

@@ -156,9 +156,8 @@ class PressResult:
         """The same with a covariance [3, 3] added to its own, and to that of its verdict."""
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
         expected = np.linalg.solve(np.eye(3) + self.verdict_information @ added, self.verdict_information)
-        return dataclasses.replace(
-            self, covariance=self.covariance + added, expected_information=(expected + expected.T) / 2
-        )
+        own = {"covariance": self.covariance + added, "expected_information": (expected + expected.T) / 2}
+        return dataclasses.replace(self, **own)
 
     def quantity(self, name: str) -> Quantity | None:
         """One of the COMBINATIONS; None where it is a ratio to a parameter that is 0."""

@@ -57,9 +57,8 @@ class Quantity:
         """Cells by the ending of their column."""
         if self.log_sd is None:
             return {"": self.value}
-        return {"": self.value, "_sd": float(self.sd)} | {
-            end: float(self.end(side)) for end, side in ENDS.items() if side
-        }
+        ends = {end: float(self.end(side)) for end, side in ENDS.items() if side}
+        return {"": self.value, "_sd": float(self.sd), **ends}
 
 
 class Result(Protocol):

@@ -36,9 +36,7 @@ WHOLE = "Whole runs of contact are fitted, when they have ended: see interaction
 class Run:
     """One run of contact; its frames are dropped as they pass, and only their observations are kept."""
 
-    def __init__(
-        self, first: PreparedFrame, clip: ClipInfo, seconds: float, rest_light: RestingLight | None = None
-    ) -> None:
+    def __init__(self, first: PreparedFrame, clip: ClipInfo, seconds: float, rest: RestingLight | None = None) -> None:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
         """Index in the clip, number, time stamp [s] and warnings of the first frame."""
@@ -54,14 +52,13 @@ class Run:
         """Whether the run begins or goes on in a frame where contact is not decided."""
         self.builder: InteractionBuilder | None = None
         """Builder of the interaction from its observations; None where the onset was not observed."""
-        self.lit = rest_light is not None
+        self.lit = rest is not None
         """Whether its light is compared with that at rest; it may be a pull, then, as nothing else is measured."""
         self.note(first)
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
-            found = contact.mesh, contact.vertex, contact.normal, contact.noise
-            first_seen = contact_frame(first)
-            self.builder = InteractionBuilder(*found, first_seen, clip.geometry, seconds, clip.size, rest_light)
+            found = contact.mesh, contact.vertex, contact.normal, contact.noise, contact_frame(first)
+            self.builder = InteractionBuilder(*found, clip.geometry, seconds, clip.size, rest)
 
     def note(self, current: PreparedFrame) -> None:
         """Take in the contact probability of a frame within the run or right after it."""
@@ -242,7 +239,7 @@ class RunSession:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
-                    contact, found, simulated = self._lit(contact)
+                    contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
                 doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
@@ -251,14 +248,6 @@ class RunSession:
         detail = f"{run.detail} {doubts}".strip()
         results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
         return run.estimate(**results, detail=detail)
-
-    def _lit(self, contact: Interaction) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
-        """As of `fit_shading`: the estimate of a whole contact by its light.
-
-        Raises:
-            NoEstimate: the contact can't be estimated.
-        """
-        return fit_shading(contact, 1 / self.clip.fps)
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
@@ -287,18 +276,9 @@ class RunSession:
 
 def contact_frame(frame: PreparedFrame) -> ContactFrame:
     """The part of a prepared frame that its run of contact keeps."""
-    return ContactFrame(
-        frame.frame.time_s,
-        frame.in_contact,
-        frame.out_of_contact,
-        frame.consecutive,
-        frame.track_position,
-        frame.depth,
-        frame.labels,
-        frame.light,
-        frame.light_view,
-        len(frame.skipped),
-    )
+    touching = frame.in_contact, frame.out_of_contact, frame.consecutive, frame.track_position
+    shown = frame.depth, frame.labels, frame.light, frame.light_view, len(frame.skipped)
+    return ContactFrame(frame.frame.time_s, *touching, *shown)
 
 
 def frame_estimate(
@@ -324,14 +304,13 @@ def frame_estimate(
         whole: whether the doubts already say why no displacement is shown.
         arrow: tail and tip of the drawn force, shape [2, 2] [px].
     """
-    frame, contact = prepared.frame, prepared.geometry
-    outlines = ""
+    frame, contact, outlines, u, v = prepared.frame, prepared.geometry, "", None, None
     if contact is not None and prepared.track_start < 0 and prepared.contact_probability < CERTAIN:
         outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
     missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
-    u, v = None, None
     if contact is not None:
         u, v = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size).tolist()
+    judged = finite(prepared.contact_probability), finite(prepared.distance)
     return FrameEstimate(
         frame.number,
         frame.time_s,
@@ -340,9 +319,7 @@ def frame_estimate(
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
-        touch=Touch(
-            finite(prepared.contact_probability), finite(prepared.distance), u, v, prepared.instrument, *lengths, arrow
-        ),
+        touch=Touch(*judged, u, v, prepared.instrument, *lengths, arrow),
     )
 
 

@@ -22,6 +22,8 @@ RADIUS = 0.01
 """Of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
+SHAPE_SD, WORK_SD = 0.45, 0.56
+"""Of the logarithm of forces, and of work: how far bodies of other shapes are from the block (docs/forces.md)."""
 AT_ONCE = 50_000
 """Places of the tip whose loads are found at once."""
 
@@ -48,8 +50,7 @@ class PressingCosts:
         self.start, self.goal, self.port = (np.array(place) for place in (scene.start, scene.goal, scene.port))
         self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
         """Of the grid, shape [2, 3] [m]."""
-        # How far bodies of other shapes are from the block, as logarithms of forces and of work (docs/forces.md).
-        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [0.45, 0.56])).tolist()
+        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [SHAPE_SD, WORK_SD])).tolist()
         """From a force, and from work, to the upper end of its 90 % interval, factors."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:

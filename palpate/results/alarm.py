@@ -16,8 +16,6 @@ from palpate.estimators.records import FrameEstimate
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
 NO_CONTACT = "no_contact"
 """What run.json calls frames without any; their state is empty."""
-STATES = (NO_CONTACT, BELOW, ABOVE, UNKNOWN)
-"""What run.json counts."""
 
 
 @dataclass
@@ -36,7 +34,7 @@ class ForceAlarm:
     alarms: int = 0
     """How often the upper end has reached the limit."""
     frames: Counter[str] = field(default_factory=Counter)
-    """Of each of STATES."""
+    """Of each state."""
 
     def __post_init__(self) -> None:
         self.end_run()
@@ -45,11 +43,9 @@ class ForceAlarm:
         """The run of contact has ended; the next frame in contact is the onset of another."""
         self._onset, self._above = np.nan, False
 
-    def watch(
-        self, frame: FrameEstimate, upper_end: Callable[[PressResult], float | None] | None = None
-    ) -> FrameEstimate:
-        """Return the frame's estimate with its state, by `upper_end` of the force (default: `upper_force`)."""
-        upper = None if frame.estimate is None else (upper_end or upper_force)(frame.estimate)
+    def watch(self, frame: FrameEstimate, end: Callable[[PressResult], float | None] | None = None) -> FrameEstimate:
+        """Return the frame's estimate with its state, by the upper `end` of the force (default: `upper_force`)."""
+        upper = None if frame.estimate is None else (end or upper_force)(frame.estimate)
         return replace(frame, alarm=self.push(frame.time_s, frame.contact, upper))
 
     def push(self, time_s: float, contact: bool | None, upper: float | None) -> str:
@@ -75,7 +71,7 @@ class ForceAlarm:
 
     def record(self) -> dict[str, Any]:
         """What run.json keeps: the limit, the number of alarms, and the number of frames of each state."""
-        frames = {state: self.frames[state] for state in STATES}
+        frames = {state: self.frames[state] for state in (NO_CONTACT, BELOW, ABOVE, UNKNOWN)}
         return {"limit": self.limit, "unit": self.unit, "alarms": self.alarms, "frames": frames}
 
     def sentence(self) -> str:

@@ -151,10 +151,7 @@ def build_record(
 
 
 def warnings_of(
-    source: FrameSource,
-    frames: Sequence[FrameEstimate],
-    model: ExportedModel | None,
-    sources: Mapping[str, str],
+    source: FrameSource, frames: Sequence[FrameEstimate], model: ExportedModel | None, sources: Mapping[str, str]
 ) -> list[str]:
     """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
@@ -175,8 +172,7 @@ def warnings_of(
     if sources["masks"] == "automatic":
         found.append(AUTOMATIC)
     for status in PERSISTENT:
-        hit = [frame for frame in frames if frame.status == status]
-        if hit:
+        if hit := [frame for frame in frames if frame.status == status]:
             share, first = f"{len(hit)} of {len(frames)} frames are {status}", hit[0]
             found.append(f"{share}, the first is {first.frame}: {first.detail}")
     if isinstance(model, PosteriorModel) and not model.calibrated:

@@ -119,10 +119,8 @@ class _Followed:
         fit = self._driven.fit
         if fit is None:
             return ""
-        return (
-            f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending "
-            f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
-        )
+        text = f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending"
+        return f"{text} {fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
 
     def estimate(self) -> FieldResult:
         """What the run tells by now."""

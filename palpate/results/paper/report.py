@@ -78,13 +78,10 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     load_steps = np.array([contact.load.factor.sum().round() for contact in contacts], dtype=int)
     paths = {REFERENCE: reference, PREDICTED: predicted}
     settled = {name: simulated.settle(path, load_steps, mechanics) for name, path in paths.items()}
-    motion = {
-        name: simulated.motion_row(settled[name]) | {"median of highest peak": simulated.median_share(path)}
-        for name, path in paths.items()
-    }
-    motions = {
-        (clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in zip(clips, contacts, strict=True)
-    }
+    shares = {name: {"median of highest peak": simulated.median_share(path)} for name, path in paths.items()}
+    motion = {name: simulated.motion_row(settled[name]) | share for name, share in shares.items()}
+    seen = zip(clips, contacts, strict=True)
+    motions = {(clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in seen}
     tables: dict[str, dict[str, dict[str, Any]]] = {
         "table_2.csv": {name: summarise(values, clips) for name, values in errors.items()},
         "comparisons.csv": {

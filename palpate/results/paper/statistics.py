@@ -55,9 +55,7 @@ def clip_interval(values: pd.Series, clips: np.ndarray) -> Interval:
 
 def _intervals(values: pd.Series, clips: np.ndarray) -> Statistics:
     found = {"": bca_interval(values), "clip_": clip_interval(values, clips)}
-    return {
-        f"{name}{end}": value for name, ends in found.items() for end, value in zip(("low", "high"), ends, strict=True)
-    }
+    return {f"{name}{end}": at for name, ends in found.items() for end, at in zip(("low", "high"), ends, strict=True)}
 
 
 def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:

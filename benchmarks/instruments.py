@@ -37,8 +37,6 @@ from palpate.results.store import OutputError, make_output
 
 OWN, CLIP = "_tool", "_color_mask"
 """Endings of masks of own pictures, and of clips."""
-CLASSES = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbladder",))
-"""Instruments in the masks of clips."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,8 @@ def sources(folder: Path) -> dict[str, list[tuple[Path, Path]]]:
 def instrument(mask: Path, size: tuple[int, int]) -> np.ndarray:
     """1 = instrument, 0 = none, 2 = not known, uint8 [H, W]."""
     if not mask.stem.endswith(OWN):
-        return (read_class_mask(mask, size, CLASSES) == TOOL).astype(np.uint8)
+        classes = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbladder",))
+        return (read_class_mask(mask, size, classes) == TOOL).astype(np.uint8)
     stored = read_image(mask, cv2.IMREAD_GRAYSCALE)
     return np.where(stored == 255, 1, np.where(stored > 0, 2, 0)).astype(np.uint8)
 

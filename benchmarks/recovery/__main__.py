@@ -40,10 +40,7 @@ DIRECT = "direct"
 """The estimator that fits grips."""
 NAMES = (DIRECT, "gan", "network")
 """Estimators in the order of tables."""
-LARGEST_SIZE = 4096
-"""Largest side of the pictures [px]."""
-SHOWN_FAILURES = 8
-DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
+
 Name = Literal["direct", "gan", "network"]
 
 
@@ -81,9 +78,9 @@ class Benchmark(Experiment):
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""
-        if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
+        if not all(least <= side <= 4096 for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
             problem = f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from"
-            raise ValueError(f"{problem} {'x'.join(map(str, GRID_SIZE))} up, {LARGEST_SIZE} px a side at most.")
+            raise ValueError(f"{problem} {'x'.join(map(str, GRID_SIZE))} up, 4096 px a side at most.")
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
         for name, flag, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
@@ -106,11 +103,8 @@ class Benchmark(Experiment):
     def estimators(self) -> dict[str, Any]:
         """Compared estimators by name, in the order of tables."""
         press = {"onset": self.onset, "horizon": self.seen}
-        known: dict[str, dict[str, Any]] = {
-            DIRECT: press,
-            "gan": {"model": self.gan_model, "threads": 1},
-            "network": {"model": self.model, "threads": 1, **press},
-        }
+        known: dict[str, dict[str, Any]] = {DIRECT: press, "gan": {"model": self.gan_model, "threads": 1}}
+        known["network"] = {"model": self.model, "threads": 1, **press}
         return {name: settings_of(name, **known[name]) for name in NAMES if name in self.estimator}
 
     def record(self) -> Mapping[str, Any]:
@@ -174,20 +168,21 @@ def _estimated(scores: Scores) -> list[tuple[str, str]]:
     return [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
 
 
-def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
+def _failures(rows: Sequence[Row], most: int = 8) -> list[tuple[str, str]]:
     failed = [row for row in rows if row["status"] != OK]
     lines = []
-    for row in failed[:SHOWN_FAILURES]:
+    for row in failed[:most]:
         clip = f"{row['suite']}, clip {row['index']} ({row.get('regime', row['action'])})"
         lines.append((f"  {clip}: {row['status']}, {row['reason']}", "yellow"))
-    if len(failed) > SHOWN_FAILURES:
+    if len(failed) > most:
         lines.append((f"  {len(failed)} in all: {dict(Counter(row['status'] for row in failed))}", "yellow"))
     return lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
-    return run(Benchmark, arguments, "benchmarks.recovery", DOCUMENTATION)
+    suites = "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
+    return run(Benchmark, arguments, "benchmarks.recovery", f"{__doc__}{suites}")
 
 
 if __name__ == "__main__":

@@ -17,9 +17,6 @@ from palpate.data.synthetic.scene import Scene
 from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
-AVERAGES = {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}
-"""Numbers of rows whose mean is in the table, and how it is called there."""
-
 
 def gripped(scene: Scene, motion: GrippedMotion, answer: list) -> Row:
     """Compare a grip with the truth."""
@@ -79,7 +76,7 @@ def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:
     if of("curve"):
         off, sd = curve_errors(of("curve"))
         yield {"quantity": "relative force", "n": len(off), "rmse": rms(off), "coverage90": coverage(off, sd)}
-    for name, text in AVERAGES.items():
+    for name, text in {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}.items():
         if of(name):
             yield {"quantity": text, "n": len(of(name)), "value": float(np.mean(of(name)))}
     determined = of("verdict").count("relative_force")

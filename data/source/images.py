@@ -19,8 +19,7 @@ MOST_PIXELS = 2**25
 """Largest picture that is unpacked [px]; those of 8K are smaller."""
 MOST_BYTES = 8 * MOST_PIXELS
 """Largest file of a picture [bytes]: four channels of 16 bits, not packed."""
-LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
-"""Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
+
 _PIXEL_LIMIT = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
 """End of the error message about a picture that is too large."""
 
@@ -79,15 +78,18 @@ def require_pixels(named: str, width: int, height: int) -> None:
         raise InputError(f"{named} is {width}x{height}, more than {_PIXEL_LIMIT}.")
 
 
-def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
+def picture_size(path: Path, width: int, height: int, least: int = 32, aspect: int = 4) -> tuple[int, int]:
     """(width, height) of a clip's pictures.
+
+    Args:
+        least, aspect: shortest side [px] and largest ratio of the sides; OpenCV's optical flow crashes on others.
 
     Raises:
         InputError: they are too small, or too long for their height.
     """
-    if min(width, height) < LEAST_SIDE_PX or max(width, height) > LARGEST_ASPECT * min(width, height):
-        problem = f"{printable(path)} has pictures of {width}x{height};"
-        raise InputError(f"{problem} give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} and at most {LARGEST_ASPECT}:1.")
+    if min(width, height) < least or max(width, height) > aspect * min(width, height):
+        problem = f"{printable(path)} has pictures of {width}x{height}"
+        raise InputError(f"{problem}; give at least {least}x{least} and at most {aspect}:1.")
     return width, height
 
 

@@ -23,9 +23,6 @@ Row = tuple[float, float, float, float]
 Place = tuple[float, float, float]
 UNITS = {"m": 1.0, "mm": 1e-3}
 
-ROUNDED = 1e-3
-"""Tables of poses reach farther by this, since their times are rounded [s]."""
-
 
 @dataclass(frozen=True)
 class SequenceFile(Checked):
@@ -210,7 +207,8 @@ def open_sequence(path: Path) -> Sequence:
         said = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
         raise InputError(f"{where} {said}; give 2 at least, their {{number}} in the files' names, and a time for each.")
     low, high = given.gripped_s or (times[0], times[-1])
-    held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
+    rounded = 1e-3  # to which times in tables are [s]
+    held = np.flatnonzero((low - rounded <= times) & (times <= high + rounded))
     if len(held) < 2:
         raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
     pins = scale * np.sort(np.array([[*pin.values()] for pin in given.pins], float).reshape(-1, 2, 3), axis=1)
@@ -221,7 +219,7 @@ def open_sequence(path: Path) -> Sequence:
         raise InputError(f"{printable(folder / given.poses)} holds a quaternion of length 0; correct that row.")
     places, tip = scale * table[:, 1:4], scale * np.array(given.tip, float)
     tool = Tool(folder / given.poses, table[:, 0], Rotation.from_quat(table[:, 4:]), places, tip)
-    if times[0] < table[0, 0] - ROUNDED or times[-1] > table[-1, 0] + ROUNDED:
+    if times[0] < table[0, 0] - rounded or times[-1] > table[-1, 0] + rounded:
         said = f"from {table[0, 0]:g} to {table[-1, 0]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
         raise InputError(f"{printable(tool.path)} reaches {said}; put both on one clock.")
     return Sequence(path, given, files, numbers, times, tool, pins, radius, range(held[0], held[-1] + 1), camera)

@@ -7,9 +7,6 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import Sequence
 
-LARGEST, SMALLEST = 2.0, 1e-3
-"""Tissue that is wider or narrower has another unit [m]."""
-
 NEAR = 0.01
 """A tip that never comes so near to the tissue, while it holds it, is in another frame [m]."""
 
@@ -36,8 +33,8 @@ def require_fit(sequence: Sequence) -> None:
 
 def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
     size = float(np.ptp(np.quantile(cloud, (0.05, 0.95), axis=0), axis=0).max())
-    if not SMALLEST <= size <= LARGEST:
-        likely, unit = ("millimetres", "mm") if size > LARGEST else ("metres", "m")
+    if not 1e-3 <= size <= 2.0:  # tissue that is wider or narrower has another unit
+        likely, unit = ("millimetres", "mm") if size > 2.0 else ("metres", "m")
         give = f"unit: {unit}" if sequence.camera is None else "the length of its unit in metres as depth_factor"
         said = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")

@@ -22,9 +22,6 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, read_forces
 from palpate.estimators.palpated import palpated_young
 
-REFERENCES = ("force_N", "stiffness", "palpation")
-"""Fields of which one at most tells newtons."""
-
 
 @dataclass(frozen=True)
 class CalibrationFile(Checked):
@@ -53,11 +50,12 @@ class CalibrationFile(Checked):
     """Its standard deviation [m]."""
 
     def __post_init__(self) -> None:
-        given = [name for name in REFERENCES if getattr(self, name) is not None]
+        known = ("force_N", "stiffness", "palpation")
+        given = [name for name in known if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)} each tell newtons; give one.")
         if not given:
-            raise ValueError(f"nothing is known; give one of {', '.join(REFERENCES)}.")
+            raise ValueError(f"nothing is known; give one of {', '.join(known)}.")
         if (self.force_N is None) != (self.force_time_s is None):
             raise ValueError("force_N and force_time_s belong together; give both.")
         if (self.palpation is None) != (self.thickness_m is None):

@@ -23,7 +23,6 @@ COMBINATIONS = {
 REPORTED = tuple(name for name in COMBINATIONS if name != "force_over_damping")
 """Those with numbers of their own; F/k_d follows from them, and only whether it is determined is said."""
 SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F|/k_d"), strict=True))
-BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,8 @@ class PressResult:
         """What verdict and numbers alone don't say."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
-        return BY_LIGHT if self.light else ""
+        light = "by the shading of the tissue, for want of measured depth: lengths and forces are relative"
+        return f"{light} to its distance" if self.light else ""
 
     @property
     def verdict_information(self) -> np.ndarray:

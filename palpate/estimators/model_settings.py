@@ -22,8 +22,6 @@ from palpate.physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
 Model = TypeVar("Model", bound=ExportedModel)
-RETIRED = {"mechanics.damping": "implicit", "mechanics.boundary": "fixed", "mechanics.anchor": 0.0}
-"""Settings of earlier versions, each with the one value that the program still supports and files may state."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,9 @@ def section(model: ExportedModel, name: str, kind: type[Settings], values: Mappi
         ModelFileError: a field is unknown, or its value is impossible.
     """
     values = model.metadata.get(name, {}) if values is None else values
-    values = {key: value for key, value in values.items() if (f"{name}.{key}", value) not in RETIRED.items()}
+    # Settings of earlier versions, each with the one value that the program still supports and files may state.
+    retired = {"mechanics.damping": "implicit", "mechanics.boundary": "fixed", "mechanics.anchor": 0.0}.items()
+    values = {key: value for key, value in values.items() if (f"{name}.{key}", value) not in retired}
     try:
         return from_mapping(kind, values, f"{model.path}, '{name}' of its metadata,")
     except (TypeError, InputError) as error:

@@ -28,7 +28,7 @@ NO_ONSET = "The onset of the contact was not observed; without it the rest shape
 UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
 PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
-NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
+
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
@@ -307,7 +307,8 @@ def frame_estimate(
     frame, contact, outlines, u, v = prepared.frame, prepared.geometry, "", None, None
     if contact is not None and prepared.track_start < 0 and prepared.contact_probability < CERTAIN:
         outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
-    missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
+    unseen = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
+    missing = unseen if contact is not None and lengths[0] is None and not whole else ""
     if contact is not None:
         u, v = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size).tolist()
     judged = finite(prepared.contact_probability), finite(prepared.distance)

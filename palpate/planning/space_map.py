@@ -22,9 +22,6 @@ from palpate.planning.surface import measure
 NODES, NEIGHBOURS, JOINED = 3000, 12, 40
 """Places, lines from each, and lines from start and from goal."""
 
-FAR = 1.0
-"""From the body [m]; points farther off are taken for another unit."""
-
 
 def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
     """A scene's costs with its road map, and whether that was found in the folder; otherwise it is made and kept.
@@ -44,8 +41,8 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
     for name in ("start", "goal", "port"):
         place = getattr(costs, name)
         said = f"{name} {place.tolist()}"
-        if np.linalg.norm(place - np.clip(place, *costs.corners)) > FAR:
-            raise InputError(f"{said} lies over {FAR:g} m from {scene.mesh}; give it in metres.")
+        if np.linalg.norm(place - np.clip(place, *costs.corners)) > 1.0:
+            raise InputError(f"{said} lies over 1 m from {scene.mesh}; give it in metres.")
         if name != "goal" and costs.distance(place[None])[0] < 0:
             raise Blocked(f"{said} lies inside the tissue; move it out.")
         if name != "port" and not np.isfinite(costs.loads(place[None])[0])[0]:

@@ -22,7 +22,6 @@ from palpate.physics.fem.polar import rotations, spins
 
 _IDENTITY = np.eye(9)
 
-_TRACE = np.eye(3).ravel()
 _LEVI_CIVITA = np.cross(np.eye(3)[:, None], np.eye(3))
 _COFACTOR_SLOPE = np.einsum("ikm,jln->ijklmn", _LEVI_CIVITA, _LEVI_CIVITA).reshape(81, 9)
 """∂(cof F)_ij/∂F_kl = ε_ikm ε_jln F_mn."""
@@ -45,7 +44,7 @@ def _linear(gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, tangent: bool
     energy = mu * np.square(strain).sum((-2, -1)) + lam / 2 * trace**2
     stress = _of(2 * mu) * strain + _of(lam * trace) * np.eye(3)
     transposed = _IDENTITY[np.arange(9).reshape(3, 3).T.ravel()]
-    slope = _of(mu) * (_IDENTITY + transposed) + _of(lam) * np.outer(_TRACE, _TRACE) if tangent else None
+    slope = _of(mu) * (_IDENTITY + transposed) + _of(lam) * np.outer(np.eye(3), np.eye(3)) if tangent else None
     return Response(energy, stress, slope)
 
 

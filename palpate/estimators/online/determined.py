@@ -124,10 +124,8 @@ class Fitting:
         return fit._replace(error=held_out) if fit is not None and explained else None
 
 
-SPREAD = 1.0
-"""Standard deviation of log stiffness at a knot before anything is seen, about its level."""
 STEPPED = "time_step", "foundation"
-"""Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
+"""Of `Stepping`: what is known of them no better than of a knot, too, since first frames tell them in large steps."""
 CHANGE = 0.01
 """Of log stiffness, for finite differences."""
 
@@ -246,7 +244,7 @@ class Determined:
         covariance, likeliest = self._posterior(fields)
         logs = self._logs(fields)
         shares, logs = (each - each[:, among].mean(axis=1, keepdims=True) for each in (self._shares, logs))
-        expected = SPREAD * np.sqrt(np.square(shares).sum(axis=2))
+        expected = np.sqrt(np.square(shares).sum(axis=2))
         sd = np.sqrt(np.einsum("fnk,kl,fnl->fn", shares, covariance, shares))
         apart = np.abs(logs - shares @ likeliest)
         known = among & (sd < LIMIT) & (sd <= 0.5 * expected) & (apart <= sd)
@@ -263,9 +261,10 @@ class Determined:
         The noise is what these leave of the motion, not what the fields of each frame did, which had to be learnt.
         """
         of_field = self._shares.any(axis=1).astype(float)
-        # The level about the stiffness to begin with is as good as unknown: with 0 in place of 3 the map depended on
-        # that. On twelve drawn pulls 0, 1, 2 and 3 made no difference to how often intervals hold.
-        prior = np.linalg.inv(SPREAD**2 * np.eye(self._shares.shape[2]) + 3.0**2 * of_field.T @ of_field)
+        # Log stiffness at a knot is known to 1 about its level. The level about the stiffness to begin with is as good
+        # as unknown: with 0 in place of 3 the map depended on that. On twelve drawn pulls 0, 1, 2 and 3 made no
+        # difference to how often intervals hold.
+        prior = np.linalg.inv(np.eye(self._shares.shape[2]) + 3.0**2 * of_field.T @ of_field)
         precision, likeliest = prior, self._projected @ self._logs(fields).ravel()
         some = self._points > 0
         squares, shared, points = self._squares[some], self._shared[some], self._points[some]

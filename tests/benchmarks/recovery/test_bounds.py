@@ -42,8 +42,8 @@ def contact_of(
     until = len(motion.times) if released else motion.release_frame
     frames = np.arange(motion.onset_frame + 1, until)
     times = motion.times[frames] - motion.times[motion.onset_frame]
-    steps = (motion.release_frame - motion.onset_frame) / SETTINGS.fps / limits.MECHANICS.time_step
-    load = held(steps if released else limits.MECHANICS.steps, limits.MECHANICS.steps)
+    steps = (motion.release_frame - motion.onset_frame) / SETTINGS.fps / limits.FITTED.time_step
+    load = held(steps if released else limits.FITTED.steps, limits.FITTED.steps)
     whole = np.zeros((len(frames), len(mesh.vertices), 3))
     whole[:, motion.moving] = motion.field[frames]
     patches = Patches(mesh, vertex, (214, 120))
@@ -53,7 +53,7 @@ def contact_of(
         mesh,
         Press.at(vertex, contact_normal(mesh, vertex), load),
         Observation.of_point(vertex, times, motion.contact[frames], SIGMA),
-        limits.MECHANICS.time_step,
+        limits.FITTED.time_step,
         DepthSequence(times, change, noise or SequenceNoise(SIGMA, 0.0), (214, 120)),
     )
 

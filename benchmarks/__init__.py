@@ -11,3 +11,10 @@ instruments  automatic masks against outlines that people drew
 inference    time of networks and of whole videos
 harness      what all share: an experiment gives rows for a case; resuming and tables
 """
+
+import sys
+
+from palpate.common.doors import enter_door
+
+if sys.argv[0] == "-m":  # `python -m benchmarks.NAME` looks for the program, before its slow imports
+    enter_door()

@@ -6,11 +6,6 @@ Folders are those that `palpate infer` wrote, of frame folders that `python -m d
 files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import csv
 import io
 import json
@@ -24,7 +19,7 @@ from rich.console import Console
 
 from benchmarks.harness import show
 from palpate.common.command_line import say
-from palpate.common.doors import plain
+from palpate.common.doors import plain, run_door
 from palpate.common.files import read_file
 from palpate.common.options import options
 from palpate.data.source.table import MOST_BYTES, reason

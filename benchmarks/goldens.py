@@ -9,11 +9,6 @@ left out where TISSUE_REAL_DATA, or ../shared/data, doesn't exist). Exit status:
 wrong usage.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import json
 import math
 import os
@@ -36,6 +31,7 @@ from benchmarks.recovery.suites import EVERY
 from palpate.api import calibrate, plan
 from palpate.cli.infer import main as infer
 from palpate.common.command_line import say
+from palpate.common.doors import run_door
 from palpate.common.files import as_json
 from palpate.common.options import options
 from palpate.common.provenance import ROOT

@@ -9,11 +9,6 @@ IoU, the share with an IoU below 0.05, the mean number of stray pixels (farther 
 of pictures with more than 100 of them, and tool-free pictures in which one is found; at last the time a frame.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,6 +21,7 @@ from rich.console import Console
 
 from benchmarks.harness import csv_of, show
 from palpate.common.command_line import say
+from palpate.common.doors import run_door
 from palpate.common.options import options
 from palpate.data.labels import TOOL
 from palpate.data.masks.automatic import WEIGHTS, AutomaticMasks

@@ -11,11 +11,6 @@ Writes table.csv (sequence, start, method, measure, value) and table_2.csv of al
 
 from __future__ import annotations
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
@@ -27,6 +22,7 @@ import pandas as pd
 from benchmarks.harness import Experiment, Report, Row, run
 from benchmarks.online.compare import BATCH, HORIZON, METHODS, STARTS, Key, Optimizer, run_case, table
 from benchmarks.online.sequences import SEQUENCES, Pull
+from palpate.common.doors import run_door
 from palpate.common.settings import LARGEST
 
 STEP = "step on one core [s]"

@@ -7,11 +7,6 @@ are fitted by the co-rotational law, from starts a factor of thirty off; then E 
 Writes table.csv (file, measure, value), and prints it; what is finished is kept, and the same command continues.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +17,7 @@ import numpy as np
 
 from benchmarks.harness import Measurements, Row, run
 from benchmarks.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
+from palpate.common.doors import run_door
 from palpate.estimators.palpation import FitSettings, Skin, fit_material
 from palpate.physics.fem import Equilibrium
 from palpate.physics.fem.meshing import around

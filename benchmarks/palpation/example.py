@@ -7,11 +7,6 @@ Writes scene.yaml, rest.obj and observed.csv: a slab of 9 × 9 × 3 cm with E = 
 0.5 N, observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +17,7 @@ from rich.console import Console
 
 from benchmarks.palpation.synthetic import BODIES, TOOL, observe, press
 from palpate.common.command_line import say
+from palpate.common.doors import run_door
 from palpate.common.options import options
 from palpate.common.output import require_own, write_own
 from palpate.estimators.palpation import Palpation

@@ -15,11 +15,6 @@ draws the same session's fit.png. Not a medical device.
 
 from __future__ import annotations
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,6 +23,7 @@ from typing import Any, ClassVar
 
 from benchmarks.harness import OK, Measurements, Row, run
 from palpate.api import open_clip, open_estimator
+from palpate.common.doors import run_door
 from palpate.common.provenance import ROOT
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.records import FrameEstimate, InteractionEstimate

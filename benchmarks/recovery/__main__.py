@@ -13,11 +13,6 @@ grips.csv has the answer (see `benchmarks.recovery.grips`).
 suites:
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -31,6 +26,7 @@ from benchmarks.recovery.scores import Scores, score_all, table
 from benchmarks.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, opened, run_trial
 from palpate.common.command_line import size_of
+from palpate.common.doors import run_door
 from palpate.common.options import option
 from palpate.common.settings import LARGEST
 from palpate.data.depth.normalise import MOST_THREADS

@@ -14,7 +14,7 @@ harness      what all share: an experiment gives rows for a case; resuming and t
 
 import sys
 
-from palpate.common.doors import enter_door
-
 if sys.argv[0] == "-m":  # `python -m benchmarks.NAME` looks for the program, before its slow imports
+    from palpate.common.doors import enter_door
+
     enter_door()

@@ -18,7 +18,8 @@ import numpy as np
 from benchmarks.harness import Measurements, Row, run
 from benchmarks.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
 from palpate.common.doors import run_door
-from palpate.estimators.palpation import FitSettings, Skin, fit_material
+from palpate.estimators.palpation.material_fit import FitSettings, fit_material
+from palpate.estimators.palpation.skin import Skin
 from palpate.physics.fem import Equilibrium
 from palpate.physics.fem.meshing import around
 

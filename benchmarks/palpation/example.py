@@ -20,7 +20,7 @@ from palpate.common.command_line import say
 from palpate.common.doors import run_door
 from palpate.common.options import options
 from palpate.common.output import require_own, write_own
-from palpate.estimators.palpation import Palpation
+from palpate.estimators.palpation.bench import Palpation
 from palpate.results.store import OutputError, make_output, writing
 
 FILES = ("scene.yaml", "rest.obj", "observed.csv")

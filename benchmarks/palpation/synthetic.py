@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palpate.estimators.palpation import Palpation, Skin, cover
+from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.registration import turned
+from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
 from palpate.physics.fem.meshing import Longest, around, refine

@@ -17,7 +17,7 @@ from scipy.integrate import cumulative_trapezoid
 from palpate.planning.scene import SoftObject
 
 if TYPE_CHECKING:
-    from palpate.estimators.palpation import Skin
+    from palpate.estimators.palpation.skin import Skin
 
 MOST_FORCE = 20.0
 """[N]."""
@@ -44,7 +44,7 @@ class PressCurve:
 @lru_cache(maxsize=8)
 def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:
     """A block's skin, fine enough for a patch of that radius, in its own frame, and what of it is held [N, 3]."""
-    from palpate.estimators.palpation import cover  # takes a second, and cached presses need none of it
+    from palpate.estimators.palpation.skin import cover  # takes a second, and cached presses need none of it
     from palpate.physics.fem import box, make_solid
 
     width, thickness, height = kind.size

@@ -4,8 +4,6 @@ Source: Bini 2026, section 3.3 (a force at the contact vertex, released after th
 `Press`. A `Grip` prescribes what a force would have to reach; the force is then the reaction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,14 +41,14 @@ class Press:
             raise ValueError(f"weights add up to {total:g}; give shares of one force.")
 
     @classmethod
-    def at(cls, vertex: int, direction: np.ndarray, factor: np.ndarray) -> Press:
+    def at(cls, vertex: int, direction: np.ndarray, factor: np.ndarray) -> "Press":
         """On one vertex."""
         return cls(np.array([vertex], np.int64), np.ones(1), np.asarray(direction), np.asarray(factor, np.float64))
 
     @classmethod
     def on_patch(
         cls, mesh: Mesh, vertex: int, radius: float, direction: np.ndarray, factor: np.ndarray, offset: Pair = (0, 0)
-    ) -> Press:
+    ) -> "Press":
         """Spread smoothly, as 1 - (r/R)², over the vertices less than `radius` grid pixels from a place.
 
         Args:
@@ -82,7 +80,7 @@ class Press:
         """T."""
         return len(self.factor)
 
-    def until(self, steps: int) -> Press:
+    def until(self, steps: int) -> "Press":
         """The same over its first steps."""
         return replace(self, factor=self.factor[:steps])
 
@@ -117,7 +115,7 @@ class Grip:
         """T."""
         return len(self.displacement)
 
-    def until(self, steps: int) -> Grip:
+    def until(self, steps: int) -> "Grip":
         """The same over its first steps."""
         return replace(self, displacement=self.displacement[:steps])
 

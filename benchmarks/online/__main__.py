@@ -9,8 +9,6 @@ Writes table.csv (sequence, start, method, measure, value) and table_2.csv of al
 --sequences thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1000.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
@@ -36,7 +34,7 @@ def pull_of(sequence: str, particles: int, points: int, frames: int) -> Pull:
     return SEQUENCES[sequence].pull(particles, points, frames)
 
 
-def follow(case: tuple[Online, Key]) -> list[Row]:
+def follow(case: "tuple[Online, Key]") -> list[Row]:
     """The row of one method from one start on a sequence."""
     asked, (sequence, start, method) = case
     pull = pull_of(sequence, asked.particles, asked.points, asked.frames_of[sequence])

@@ -13,8 +13,6 @@ instrument. Writes table.csv (clip, measure, value); the same command judges aga
 draws the same session's fit.png. Not a medical device.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

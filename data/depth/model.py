@@ -1,7 +1,5 @@
 """An ONNX depth network: the one preprocessing function, the session, and what its output means as depth."""
 
-from __future__ import annotations
-
 import glob
 import hashlib
 import math
@@ -25,7 +23,7 @@ class RawDepth:
     focal: float | None = None
     """Focal length that the network estimated, as a multiple of the picture's width."""
 
-    def thumbnail(self, side: int = 160) -> RawDepth:
+    def thumbnail(self, side: int = 160) -> "RawDepth":
         """Every n-th pixel, so that neither side exceeds `side` much; enough for robust statistics of a clip."""
         step = max(1, max(self.values.shape) // side)
         return RawDepth(self.values[::step, ::step].copy(), self.focal)

@@ -1,7 +1,5 @@
 """Pictures, their camera and forces by topic in bags of ROS 1 and ROS 2, which the library `rosbags` reads."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from os.path import isfile

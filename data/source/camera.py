@@ -1,7 +1,5 @@
 """The camera: intrinsics, camera files, back-projection (Bini 2026, equation 3) and the removal of lens distortion."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,16 +66,16 @@ class Camera(Checked):
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
 
     @classmethod
-    def from_field_of_view(cls, degrees: float, width: int, height: int) -> Camera:
+    def from_field_of_view(cls, degrees: float, width: int, height: int) -> "Camera":
         """Camera with square pixels and a centred axis from its horizontal field of view [degrees]."""
         return cls.from_focal(width / 2 / math.tan(math.radians(degrees) / 2), width, height)
 
     @classmethod
-    def from_focal(cls, focal: float, width: int, height: int) -> Camera:
+    def from_focal(cls, focal: float, width: int, height: int) -> "Camera":
         """Camera with square pixels and a centred axis from its focal length [px]."""
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
-    def scaled(self, width: int, height: int) -> Camera:
+    def scaled(self, width: int, height: int) -> "Camera":
         """The same camera for the picture resized to width x height.
 
         Raises:
@@ -107,7 +105,7 @@ class Rig(Camera):
     """Of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
     translation: tuple[float, float, float] | None = None
     """T, in place of a baseline [m]."""
-    right: Rig | None = None
+    right: "Rig | None" = None
     """The right camera, with the keys of the left one; none = the same."""
     metres_per_depth: Positive | None = None
     """Length of a unit of the clip's stored depth [m]; none = not known."""

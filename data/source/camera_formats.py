@@ -1,7 +1,5 @@
 """Camera files of OpenCV, ROS and SCARED, recognised by their content and turned into this project's keys."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Clouds of points from files: PLY, in text or binary, and NumPy's."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

@@ -4,8 +4,6 @@ A YAML file (fields of `CalibrationFile`), a table of forces (columns time_s, fo
 forces in every bag.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -82,7 +80,7 @@ class Calibration:
         """Whether the scale follows from a force that acted in one clip."""
         return self.fields is not None and self.fields.force_N is not None
 
-    def of_clip(self, clip: Path, pictures: str | None) -> Calibration:
+    def of_clip(self, clip: Path, pictures: str | None) -> "Calibration":
         """Return the calibration with the forces that the clip, a bag, holds; unchanged without a topic.
 
         Args:

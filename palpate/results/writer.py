@@ -1,7 +1,5 @@
 """One clip's results, in a folder that is complete or not there at all."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -79,7 +77,7 @@ class ClipResults:
             self.__exit__()
             raise
 
-    def __enter__(self) -> ClipResults:
+    def __enter__(self) -> "ClipResults":
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -1,7 +1,5 @@
 """Symmetric linear systems of a body: factorised where small, iterated where large."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +19,7 @@ class LinearSystem:
             precondition this one.
     """
 
-    def __init__(self, matrix: csr_array, near: LinearSystem | None = None) -> None:
+    def __init__(self, matrix: csr_array, near: "LinearSystem | None" = None) -> None:
         self.matrix = matrix
         self.borrowed = None if near is None or near.matrix.shape != matrix.shape else near.known
         """Factors of another matrix close by."""

@@ -4,8 +4,6 @@ Between two simulations displacements are linear in the former, and points are m
 derivatives exist they are exact (`physics.fem.equilibrium`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -111,7 +109,7 @@ class System:
         self.precision = self.weight / self.noise**2
         """What a residual weighs, shape [R] [1/m²]."""
 
-    def solved(self) -> System:
+    def solved(self) -> "System":
         """By Gauss–Newton steps, without a simulation."""
         system, trust = self, 1.0
         for _ in range(20):

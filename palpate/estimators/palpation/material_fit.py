@@ -7,8 +7,6 @@ linear law, by which displacements go with 1/E, so that it doesn't matter how fa
 takes ten times as many simulations (docs/reports/palpation.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

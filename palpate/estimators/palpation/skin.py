@@ -4,8 +4,6 @@ Vertices move as the shape functions of the element that they lie in, or closest
 by the same shares, so that both do the same work.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -149,7 +147,7 @@ class Match:
     """Of the points from the places, shape [P] [m]."""
 
     @classmethod
-    def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Match:
+    def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> "Match":
         """The closest places to points [P, 3] on triangles [F, 3] of vertices [V, 3]."""
         corners = vertices[triangles]
         face, shares = nearest(points, corners)
@@ -158,7 +156,7 @@ class Match:
         return cls(face, shares, normal, (beyond * normal).sum(axis=1), np.linalg.norm(beyond, axis=1))
 
     @classmethod
-    def along(cls, points: np.ndarray, sights: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Match:
+    def along(cls, points: np.ndarray, sights: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> "Match":
         """Where lines of sight meet the surface, beginning at the closest triangle; distances are along them.
 
         Args:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from palpate.estimators.palpation.bench import Palpation
@@ -86,15 +87,9 @@ def sphere(halvings: int) -> tuple[np.ndarray, np.ndarray]:
     vertices = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64)
     triangles = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     for _ in range(halvings):
-        pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        edges, which = np.unique(pairs, axis=0, return_inverse=True)
-        middle = len(vertices) + which.reshape(-1, 3)
-        vertices = np.concatenate([vertices, (vertices[edges[:, 0]] + vertices[edges[:, 1]]) / 2])
+        vertices, triangles = trimesh.remesh.subdivide(vertices, triangles)
+        triangles = triangles.reshape(-1, 4, 3).swapaxes(0, 1).reshape(-1, 3)  # the first part of each, then the second
         vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-        one, two, three = triangles.T
-        ab, bc, ca = middle.T
-        parts = (one, ab, ca), (ab, two, bc), (ca, bc, three), (ab, bc, ca)
-        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
     return vertices, triangles
 
 

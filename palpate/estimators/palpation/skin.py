@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from palpate.physics.fem import Solid
 from palpate.physics.fem.solid import EDGES
 from palpate.physics.fem.surface import areas, closest, even_shares, nearest
-from palpate.physics.mesh import holding
+from palpate.physics.mesh import crosses, holding
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,7 @@ def _shapes(place: np.ndarray) -> np.ndarray:
 
 def _normals(corners: np.ndarray) -> np.ndarray:
     """Outward ones of triangles [F, 3, 3], shape [F, 3]."""
-    one, two, three = corners.transpose(1, 0, 2)
-    normals = np.cross(two - one, three - one)
+    normals = crosses(corners)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 

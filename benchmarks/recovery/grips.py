@@ -3,7 +3,6 @@
 `trial` explains the rows' names.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -22,7 +21,7 @@ def gripped(scene: Scene, motion: GrippedMotion, answer: list) -> Row:
     """Compare a grip with the truth."""
     contact = np.array([item.contact is True for item in answer if isinstance(item, FrameEstimate)])
     moves = moving_frames(scene, motion)
-    found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else math.nan}
+    found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else np.nan}
     runs = [item for item in answer if isinstance(item, InteractionEstimate)]
     run = next((item for item in runs if item.grip is not None), None)
     if run is None or run.grip is None:

@@ -1,7 +1,6 @@
 """Input and output conventions of a depth network, so that any ONNX depth model works by configuration alone."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Literal
@@ -86,7 +85,7 @@ class DepthPreset(Checked):
     @property
     def identity(self) -> str:
         """Digest of all fields, for cache keys."""
-        fields = {key: value for key, value in dataclasses.asdict(self).items() if key != "obtain"}
+        fields = {key: value for key, value in asdict(self).items() if key != "obtain"}
         return digest_of(fields)[:16]
 
 

@@ -3,14 +3,13 @@
 The default instance is CholecSeg8k; other sequences are described in a YAML file (`configs/layouts/`).
 """
 
-import dataclasses
 import inspect
 import itertools
 import json
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from os.path import isdir, isfile
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
@@ -104,7 +103,7 @@ def load_layout(path: Path | str) -> ClipLayout:
     path = Path(path)
     layout = from_mapping(ClipLayout, read_mapping(path, "a clip layout"), str(path))
     if layout.camera is not None and isfile(path.parent / layout.camera):
-        return dataclasses.replace(layout, camera=str((path.parent / layout.camera).resolve()))
+        return replace(layout, camera=str((path.parent / layout.camera).resolve()))
     return layout
 
 
@@ -136,9 +135,9 @@ def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
 
 def _nested(kind: Any, value: Any, where: str) -> Any:
     """A field's value; mappings become the dataclasses that its annotation is, or holds in a tuple or by name."""
-    if dataclasses.is_dataclass(kind):
+    if is_dataclass(kind):
         return value if isinstance(value, kind) else from_mapping(kind, value, where)
-    held = next(filter(dataclasses.is_dataclass, get_args(kind)), None)
+    held = next(filter(is_dataclass, get_args(kind)), None)
     if held is not None and isinstance(value, dict):
         return {name: _nested(held, each, f"{where} {shown(name)}") for name, each in value.items()}
     if held is not None and isinstance(value, list):

@@ -4,7 +4,6 @@ A YAML file (fields of `CalibrationFile`), a table of forces (columns time_s, fo
 forces in every bag.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -125,7 +124,7 @@ class Calibration:
         if self.young is None or given.thickness_m is None:
             raise NoEstimate("Nothing that the file holds tells newtons.")
         young, young_sd = self.young
-        log_sd = math.hypot(young_sd, given.thickness_sd_m / given.thickness_m)
+        log_sd = float(np.hypot(young_sd, given.thickness_sd_m / given.thickness_m))
         source = f"palpation, E = {young:.4g} Pa, in a sheet of {1000 * given.thickness_m:g} mm"
         stiffness = force_scale.SHEET_FACTOR * young * given.thickness_m
         return force_scale.scale_by_stiffness(stiffness, log_sd, length, source)

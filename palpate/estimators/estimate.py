@@ -1,7 +1,6 @@
 """Parameters θ of a press: what an estimator says of them, and how well they are known."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -96,7 +95,7 @@ class PressResult:
     the tissue; so a sideways motion that the model can't explain is not determined."""
     largest_misfit: float = np.inf
     """Beyond it the model does not explain the motion."""
-    at_bound: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3, bool))
+    at_bound: np.ndarray = field(default_factory=lambda: np.zeros(3, bool))
     """Whether a parameter lies at its range's end, shape [3], bool."""
     expected_information: np.ndarray | None = None
     """Inverse of the expected Cramér–Rao bound, by which the verdict is given, shape [3, 3]; None = that of
@@ -157,7 +156,7 @@ class PressResult:
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
         expected = np.linalg.solve(np.eye(3) + self.verdict_information @ added, self.verdict_information)
         own = {"covariance": self.covariance + added, "expected_information": (expected + expected.T) / 2}
-        return dataclasses.replace(self, **own)
+        return replace(self, **own)
 
     def quantity(self, name: str) -> Quantity | None:
         """One of the COMBINATIONS; None where it is a ratio to a parameter that is 0."""

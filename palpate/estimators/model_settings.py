@@ -1,8 +1,7 @@
 """Preparation settings from an exported network's metadata."""
 
-import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -92,7 +91,7 @@ def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSe
         _require_file(model, "masks", masks)
     settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
     settings |= {
-        "depth": dataclasses.replace(depth, **wanted),
+        "depth": replace(depth, **wanted),
         "geometry": section(model, "geometry", GeometrySettings),
         "masks": masks,
         "classes": section(model, "classes", MaskClasses),

@@ -2,7 +2,6 @@
 
 import codecs
 import io
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -80,7 +79,7 @@ class PalpationFile:
         lengths = self.tool_radius, self.hole, self.pose_shift
         if min(*lengths, self.pose_turn) <= 0 or max(lengths) > BODY / 2:
             raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive, lengths in metres.")
-        if not 1e-6 <= math.hypot(*self.force) <= 1e4:
+        if not 1e-6 <= np.linalg.norm(self.force) <= 1e4:
             raise ValueError("force is to be 1e-06 to 10000 N; give what the tool pressed with.")
 
 

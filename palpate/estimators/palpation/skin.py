@@ -4,7 +4,6 @@ Vertices move as the shape functions of the element that they lie in, or closest
 by the same shares, so that both do the same work.
 """
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -37,7 +36,7 @@ class Skin:
 
         mesh = trimesh.Trimesh(self.vertices, self.triangles, process=False)
         lone = mesh.edges_unique[np.bincount(mesh.edges_unique_inverse) != 2]
-        sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > math.acos(0.8)]
+        sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > np.arccos(0.8)]
         ends = self.vertices[np.concatenate([lone, sharp])]
         if not len(ends):
             return None

@@ -4,11 +4,10 @@ A press's force is its estimate's, as long as that was observed; a pull's comes 
 It is in newtons where something tells them, else relative to the run's own peak.
 """
 
-import dataclasses
 import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -110,7 +109,7 @@ class ContactForce:
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
             return self
         curves = np.stack([self.pressed * row.get(f"force{end}", math.nan) for end in ENDS])
-        return dataclasses.replace(self, curves=curves, unit=row["force_unit"], why=LATER)
+        return replace(self, curves=curves, unit=row["force_unit"], why=LATER)
 
     @property
     def relative(self) -> np.ndarray:

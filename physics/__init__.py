@@ -23,5 +23,5 @@ __getattr__, __dir__, __all__ = exported(
         "palpate.physics.observation": ("Observation",),
         "palpate.physics.likelihood": ("Likelihood",),
         "palpate.physics.mechanics": ("Bounds", "Mechanics"),
-    },
+    }
 )

@@ -15,5 +15,5 @@ __getattr__, __dir__, __all__ = exported(
         "palpate.physics.msd.rollouts": ("rollout", "rollout_sensitivities"),
         "palpate.physics.msd.simulation": ("simulate", "simulate_sensitivities"),
         "palpate.physics.msd.batch": ("DepthBatch", "ObservationBatch"),
-    },
+    }
 )

@@ -73,10 +73,7 @@ class DirectEstimator(Estimator):
     name = "direct"
 
     def __init__(
-        self,
-        settings: DirectSettings = DirectSettings(),
-        mechanics: Mechanics = FITTED,
-        bounds: Bounds = RECOMMENDED,
+        self, settings: DirectSettings = DirectSettings(), mechanics: Mechanics = FITTED, bounds: Bounds = RECOMMENDED
     ) -> None:
         self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
         self.log_box = bounds.log_box

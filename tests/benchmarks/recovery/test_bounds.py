@@ -31,9 +31,7 @@ def truth() -> tuple[Scene, PressedMotion]:
     return draw_truth(SETTINGS, 3)
 
 
-def contact_of(
-    aside: tuple[int, int] = (0, 0), *, released: bool = True, noise: SequenceNoise | None = None
-) -> Interaction:
+def contact_of(aside=(0, 0), *, released: bool = True, noise: SequenceNoise | None = None) -> Interaction:
     """The true contact as it would be observed without errors, found so many rows and columns beside where it is."""
     scene, motion = truth()
     mesh = scene.mesh

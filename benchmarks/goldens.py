@@ -39,7 +39,7 @@ from palpate.data.synthetic.__main__ import main as draw
 
 GOLDENS = ROOT / "tests" / "goldens.json"
 REAL_DATA = Path(os.environ.get("TISSUE_REAL_DATA", ROOT.parent / "shared" / "data"))
-QUANTITIES = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
+
 Group = Literal["network", "direct", "rgb", "recovery", "grips", "online", "palpation", "plan", "real"]
 Values = dict[str, float | str]
 
@@ -60,7 +60,8 @@ def inferred(folder: Path, ending: str, *arguments: str, count: int = 6) -> Valu
     draw(["--output", str(clips), "--clips", str(count), "--frames", "32", "--seed", "1"])
     inputs = [str(path) for path in sorted(clips.glob(f"*/*_00000{ending}"))]
     infer([*inputs, "--output", str(folder / "results"), "--no-overlay", *arguments])
-    columns = ("verdict", *QUANTITIES, *(f"{name}_sd" for name in QUANTITIES), "misfit")
+    quantities = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
+    columns = ("verdict", *quantities, *(f"{name}_sd" for name in quantities), "misfit")
     found: Values = {}
     for path in sorted((folder / "results").glob("*/interactions.csv")):
         for row in rows_of(path):

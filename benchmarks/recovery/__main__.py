@@ -106,7 +106,8 @@ class Benchmark(Experiment):
     def record(self) -> Mapping[str, Any]:
         """Record of everything the results depend on."""
         found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
-        found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
+        decisive = ("errors", "truth", "turns")
+        found |= {f"suite {name}": {part: getattr(EVERY[name], part) for part in decisive} for name in self.suites}
         for name, settings in self.estimators.items():
             network, onset = getattr(opened(settings), "model", None), getattr(settings, "onset", None)
             found[f"estimator {name}"] = {"model_sha256": getattr(network, "sha256", ""), "onset": onset}

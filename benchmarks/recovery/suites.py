@@ -53,10 +53,6 @@ class Suite:
         """The same with the suite's errors of observation."""
         return replace(self.truth_settings(index, size), **self.errors)
 
-    def describe(self) -> dict[str, Any]:
-        """What decides the suite's clips, for the run's record."""
-        return {name: getattr(self, name) for name in ("errors", "truth", "turns")}
-
 
 def _read() -> Iterator[Suite]:
     """All suites, in the order of tables; what a suite says of a field counts more than what all of its kind say."""

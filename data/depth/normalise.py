@@ -121,7 +121,9 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
     if samples:
         depth.freeze(samples)
     maps = [depth.convert(sample) for sample in samples]
-    extents = [_largest_depth(map_) for map_ in maps if map_.any()]
+    valid = [map_[map_ > 0] for map_ in maps if map_.any()]
+    # Single outliers have no effect; what lies beyond three medians is background or a mismatch.
+    extents = [float(min(np.quantile(each, 0.999), 3.0 * np.median(each))) for each in valid]
     if not extents:
         reason = problems[0] if problems else "choose another source with depth.source."
         raise InputError(f"{source.path} has no frame with usable depth; {reason}")
@@ -156,13 +158,6 @@ def _samples(source: FrameSource, depth: DepthSource, how: DepthSettings, proble
         yield sample.thumbnail()
         if taken == how.scale_samples:
             return
-
-
-def _largest_depth(depth: np.ndarray) -> float:
-    """A frame's largest depth that is not an outlier [unit of the source]."""
-    valid = depth[depth > 0]
-    # Single outliers have no effect; what lies beyond three medians is background or a mismatch.
-    return float(min(np.quantile(valid, 0.999), 3.0 * np.median(valid)))
 
 
 def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:

@@ -19,11 +19,6 @@ from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.images import printable, read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, right_beside
 
-DISPARITY_SD = 0.25
-"""Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px]; where
-rows are found apart, a camera that is turned that far may be turned as far across them."""
-NOT_COMPARED = "left and right pictures share too few features to compare rows; look whether they are a pair"
-
 
 class Rectification:
     """Brings a calibrated pair to common rows, and depth back to the left picture; a rectified pair stays as it is.
@@ -145,6 +140,10 @@ class StereoDepth(DepthSource):
     """Depth of a stereo pair, in metres by its baseline; pixels that match nowhere, or not both ways, have none."""
 
     depends_on_clip = True
+    not_compared = "left and right pictures share too few features to compare rows; look whether they are a pair"
+    disparity_sd = 0.25
+    """Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px];
+    where rows are found apart, a camera that is turned that far may be turned as far across them."""
 
     def __init__(self, layout: ClipLayout, source: FrameSource) -> None:
         """
@@ -168,7 +167,6 @@ class StereoDepth(DepthSource):
         self._match = SemiGlobal(source.size)
         self._before: tuple[int, np.ndarray] = (-2, np.zeros(0))
         self._seconds, self._second = iter(()), math.inf
-        self._disparity_sd = DISPARITY_SD
         self.identity = f"stereo:{digest_of([repr(rig), layout.right])[:16]}"
         first = next((frame for frame in source if frame.image is not None), None)
         self._moved = None if first is None else self._onto_rows(first)
@@ -189,7 +187,7 @@ class StereoDepth(DepthSource):
         full = cv2.resize(disparity, self._size, interpolation=cv2.INTER_NEAREST)
         depth = self._rectification.depth(full * np.float32(self._size[0] / disparity.shape[1]))
         check_map(depth, f"Stereo depth of frame {frame.number} of {printable(self._clip)}", signed=False)
-        return RawDepth(depth)
+        return RawDepth(positive(depth))
 
     def _right(self, frame: Frame) -> np.ndarray:
         """The right picture of a frame, [H, W, 3]."""
@@ -231,8 +229,8 @@ class StereoDepth(DepthSource):
             f"rows of the right pictures lie up to {most:.1f} px off those of the left ones and were brought together "
             "by features, so that depth may be off as well; rectify the pair"
         )
-        self.warnings = [NOT_COMPARED] if unknown else [differ] if most > 1.5 else []
-        self._disparity_sd = math.hypot(DISPARITY_SD, most)
+        self.warnings = [self.not_compared] if unknown else [differ] if most > 1.5 else []
+        self.disparity_sd = math.hypot(self.disparity_sd, most)
         # A turn of the camera around its axis, which the rows tell, moves columns as well.
         moved = np.array([[1, turn, -turn * y], [-turn, 1 - stretch, turn * x + stretch * y - offset]])
         return moved if most > 0.3 else None
@@ -245,9 +243,6 @@ class StereoDepth(DepthSource):
         if (away := self._rectification.product / np.median(found)) > FARTHEST:
             said = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
             raise InputError(f"Tissue of {printable(self._clip)} {said}.")
-        off = self._disparity_sd / float(np.median(found))
-        if NOT_COMPARED not in self.warnings:
+        off = self.disparity_sd / float(np.median(found))
+        if self.not_compared not in self.warnings:
             self.metres = 1.0, math.hypot(self._baseline_log_sd, off), "stereo"
-
-    def convert(self, raw: RawDepth) -> np.ndarray:
-        return positive(raw.values)

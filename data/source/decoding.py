@@ -6,7 +6,7 @@ Headers are not believed where the frames themselves tell: rate, number of frame
 import math
 import re
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -214,7 +214,11 @@ class VideoTrack:
         self.size = picture.shape[1], picture.shape[0]
         if offset.value is None:
             self._look_elsewhere(container, track, offset)
-        self._set_rate(sorted(stamps - {None}))
+        if len(rising := sorted(stamps - {None})) > 1:
+            *_, last = numbered(((stamp, None) for stamp in rising), 1 / self.fps)
+            measured = min(last.number / last.time_s, LARGEST_FPS)
+            # Relative difference from the measured frame rate up to which a stated one counts.
+            self.fps = self.fps if abs(self.fps / measured - 1) < 0.02 else measured
         begin = max(self.span[0], self._start)
         self.length = round((self._end - begin) * self.fps) if math.isfinite(self._end) else 0
         self.fields = ("setfield", "prog") if flagged else None  # flagged frames are converted field by field
@@ -229,14 +233,6 @@ class VideoTrack:
         if (square := self._square(*stored)) != stored:
             read = "{}x{} are read as {}x{}".format(*stored, *square)
             self.notes.append(f"pixels are not square: pictures of {read}")
-
-    def _set_rate(self, stamps: Sequence[float]) -> None:
-        """Take the frame rate of rising time stamps, or the stated one where it is close to that."""
-        if len(stamps) > 1:
-            *_, last = numbered(((stamp, None) for stamp in stamps), 1 / self.fps)
-            measured = min(last.number / last.time_s, LARGEST_FPS)
-            # Relative difference from the measured frame rate up to which a stated one counts.
-            self.fps = self.fps if abs(self.fps / measured - 1) < 0.02 else measured
 
     def _look_elsewhere(self, container: InputContainer, track: VideoStream, offset: FieldOffset) -> None:
         """Search seven places later on, twelve frames of each, for motion that shows whether they are interlaced."""

@@ -199,16 +199,13 @@ class RunSession:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
         with self.timed("follow"):
-            if run is None or not self._follows(run):
+            # A run without an onset has no other observation.
+            if run is None or not (run.builder is None or (self.by_light and run.lit)):
                 self._grip = None
             elif run.index == frame.frame.index:
                 self._grip = GripRecorder(frame) if frame.visible else None
             elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
                 self._grip.add(frame)
-
-    def _follows(self, run: Run) -> bool:
-        """Whether the motion around the instrument may be needed: a run without an onset has no other observation."""
-        return run.builder is None or (self.by_light and run.lit)
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
         """Yield the record of a run that has ended, once it is fitted."""

@@ -24,8 +24,6 @@ BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), l
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
 SHAPE_SD, WORK_SD = 0.45, 0.56
 """Of the logarithm of forces, and of work: how far bodies of other shapes are from the block (docs/forces.md)."""
-AT_ONCE = 50_000
-"""Places of the tip whose loads are found at once."""
 
 
 def unit_press(poisson: float) -> np.ndarray:
@@ -65,7 +63,7 @@ class PressingCosts:
         """
         depths, forces, energies = self.known["press"] * self.radius ** np.array([[1], [2], [3]])
         found = []
-        for some in np.split(tips, range(AT_ONCE, len(tips), AT_ONCE)):
+        for some in np.split(tips, range(50_000, len(tips), 50_000)):  # so many at once
             away = self.port - some
             length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
             away = np.where(away == 0, 1e-12, away) / length

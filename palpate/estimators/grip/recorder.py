@@ -23,8 +23,6 @@ LEAST_FRAMES = 3
 """Least number of moving frames to fit, and to judge."""
 MOST_KEPT = 32
 """Number of frames that are kept, evenly spread over the moving ones: memory does not grow with the run."""
-MOST_COMPARED = 8
-"""Number of these by which the grip elsewhere is judged."""
 
 
 class _Kept(NamedTuple):
@@ -118,9 +116,10 @@ class GripRecorder:
         gripped = np.zeros(len(points), bool)
         gripped[np.argsort(apart)[:count]] = True
         moving = own[[GripFrame(frame, gripped).moves for frame in own]]
-        half = min(len(moving), MOST_COMPARED) // 2
+        count = min(len(moving), 8)
+        half = count // 2
         if half < LEAST_FRAMES:
             return -math.inf
-        used = moving[np.linspace(0, len(moving) - 1, min(len(moving), MOST_COMPARED)).round().astype(int)]
+        used = moving[np.linspace(0, len(moving) - 1, count).round().astype(int)]
         still = np.zeros((len(used), 3, 2))
         return fit_sheets(points, self._follower.spacing, gripped, used, still).skill(half)

@@ -20,9 +20,6 @@ from palpate.estimators.result import LEAST_SKILL
 Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
 
-PAST = MOST_FITTED
-"""Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
-
 
 class DrivenTissue:
     """A sheet or a volume under an instrument; P followed points, N particles.
@@ -89,9 +86,10 @@ class DrivenTissue:
         self._learns = settings.method.name == "PBD-RM-ON" and len(self.around) > 0
         self._places = rest[self.surface.gripped]
         self._moving = np.zeros(len(rest), bool)
-        self.past = deque[np.ndarray](maxlen=PAST)
-        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
-        self._seen = deque[np.ndarray](maxlen=PAST)
+        self.past = deque[np.ndarray](maxlen=MOST_FITTED)
+        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]: how they moved before hardly
+        matters to the motion to come."""
+        self._seen = deque[np.ndarray](maxlen=MOST_FITTED)
 
     @property
     def stretched(self) -> np.ndarray:

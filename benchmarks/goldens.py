@@ -34,9 +34,9 @@ from palpate.common.command_line import say
 from palpate.common.doors import run_door
 from palpate.common.files import as_json
 from palpate.common.options import options
-from palpate.common.provenance import ROOT
 from palpate.data.synthetic.__main__ import main as draw
 
+ROOT = Path(__file__).resolve().parents[1]
 GOLDENS = ROOT / "tests" / "goldens.json"
 REAL_DATA = Path(os.environ.get("TISSUE_REAL_DATA", ROOT.parent / "shared" / "data"))
 

@@ -108,12 +108,11 @@ def _refined(left: np.ndarray, right: np.ndarray, disparity: np.ndarray) -> np.n
     return disparity - np.clip(shared / (mean(slope * slope) - steepness**2 + 2.0), -1, 1)
 
 
-def row_offsets(left: np.ndarray, right: np.ndarray, fewest: int = 30) -> np.ndarray:
+def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """By how much features lie lower in the left picture than in the right one, by where they are in the left one.
 
     Args:
         left, right: pictures, shape [H, W, 3].
-        fewest: features that tell.
 
     Returns:
         a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; none of them is a number where
@@ -128,6 +127,7 @@ def row_offsets(left: np.ndarray, right: np.ndarray, fewest: int = 30) -> np.nda
     across, down = (here - np.array([found[1][0][pair.trainIdx].pt for pair in pairs]).reshape(-1, 2)).T
     near = (across > 0) & (across < width / 2) & (np.abs(down) < height / 4)
     terms = np.column_stack([np.ones(near.sum()), here[near] - [(width - 1) / 2, (height - 1) / 2]])
+    fewest = 30  # features that tell
     if len(terms) < fewest:
         return np.full(3, np.nan)
     off = down[near] - (middle := np.median(down[near]))

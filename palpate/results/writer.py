@@ -72,7 +72,7 @@ class ClipResults:
             with writing(folder.parent):
                 self.partial = store.partial_folder(folder)
                 self._waiting = self._open.enter_context(closing(FrameSpool(self.partial)))
-                self.artefacts = [self._open.enter_context(closing(kind(self))) for kind in kinds]  # ty: ignore[invalid-argument-type]  two paths to one class
+                self.artefacts = [self._open.enter_context(closing(kind(self))) for kind in kinds]
         except BaseException:
             self.__exit__()
             raise

@@ -12,8 +12,6 @@ from scipy.spatial import KDTree
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-
 
 def _read(path: Path, unit: str) -> Any:
     """A mesh of trimesh, in metres; raises as `measure`."""
@@ -28,12 +26,13 @@ def _read(path: Path, unit: str) -> Any:
     except Exception as error:  # each format's reader raises its own
         problem = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
         raise InputError(f"{printable(path)} {problem}") from error
+    units = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
     # Longest sides of bodies, 2 mm to 2 m.
-    likely = [each for each, metres in UNITS.items() if 2e-3 <= size * metres <= 2.0]
+    likely = [each for each, metres in units.items() if 2e-3 <= size * metres <= 2.0]
     if unit not in likely:
-        problem = f"is {size * UNITS[unit]:.3g} m long in unit {unit}"
+        problem = f"is {size * units[unit]:.3g} m long in unit {unit}"
         raise InputError(f"{printable(path)} {problem}; give `unit: {' or '.join(likely) or 'm'}`.")
-    return mesh.apply_scale(UNITS[unit])
+    return mesh.apply_scale(units[unit])
 
 
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
@@ -47,7 +46,7 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
 
     Args:
         path: of the surface, whose lengths are in `unit`.
-        unit: one of `UNITS`.
+        unit: m, cm or mm.
         radius: of the tip [m].
 
     Returns:

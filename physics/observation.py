@@ -1,7 +1,5 @@
 """What was observed of moving tissue: followed points, when, how far from rest, with what noise; likelihood of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -85,7 +83,7 @@ class Observation:
             raise ValueError(f"noise has shape {shape}; give [3] or one that broadcasts to {expected}.") from None
 
     @classmethod
-    def of_point(cls, vertex: int, times: np.ndarray, displacement: np.ndarray, noise: float) -> Observation:
+    def of_point(cls, vertex: int, times: np.ndarray, displacement: np.ndarray, noise: float) -> "Observation":
         """One point, displacements of shape [N, 3], with the same noise along every axis."""
         moved = np.asarray(displacement, np.float32).reshape(1, -1, 3)
         return cls(np.array([vertex], np.int64), np.asarray(times, np.float64), moved, np.full(3, noise, np.float64))
@@ -104,14 +102,14 @@ class Observation:
         """Index into a trajectory with this time step [s] that each instant is nearest to, shape [N], int64."""
         return np.rint(self.times / time_step).astype(np.int64) - 1
 
-    def chosen(self, instants: np.ndarray) -> Observation:
+    def chosen(self, instants: np.ndarray) -> "Observation":
         """The same at some of its instants: a mask [N] or indices."""
         noise = self.noise
         if np.ndim(noise) >= 2 and np.shape(noise)[-2] == len(self.times):
             noise = noise[..., instants, :]
         return replace(self, times=self.times[instants], displacement=self.displacement[:, instants], noise=noise)
 
-    def moved(self, displacement: np.ndarray, noise: float) -> Observation:
+    def moved(self, displacement: np.ndarray, noise: float) -> "Observation":
         """The same instants with other displacements, of shape [M, N, 3] or [N, 3], and another noise on every axis."""
         displacement = np.asarray(displacement, np.float32).reshape(self.displacement.shape)
         return replace(self, displacement=displacement, noise=np.full(3, noise, np.float64))

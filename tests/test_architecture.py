@@ -59,6 +59,7 @@ FENCES = {
         "data/source/clouds.py",
         "palpate/estimators/palpation/",
         "physics/fem/surface.py",
+        "benchmarks/",
     ),
     "scipy.stats": ("palpate/estimators/direct/", "palpate/results/paper/", "benchmarks/"),
 }

@@ -37,10 +37,8 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     filtered = cv2.morphologyEx(cv2.morphologyEx(brightness, cv2.MORPH_OPEN, square), cv2.MORPH_CLOSE, square)
     brightness = np.clip(brightness, filtered / 1.2, filtered * 1.2)
     usable = (brightness > DARKEST).astype(np.float32)
-    total, weight = (
-        cv2.GaussianBlur(part.astype(np.float32), (37, 37), 6, borderType=cv2.BORDER_CONSTANT)
-        for part in (brightness * usable, usable)
-    )
+    parts = (brightness * usable).astype(np.float32), usable
+    total, weight = (cv2.GaussianBlur(part, (37, 37), 6, borderType=cv2.BORDER_CONSTANT) for part in parts)
     smooth = total / np.maximum(weight, 1e-6) * usable
     return np.where(smooth > DARKEST, _falloff(smooth.shape) / np.sqrt(np.maximum(smooth, DARKEST)), 0).astype(
         np.float32

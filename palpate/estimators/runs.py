@@ -30,7 +30,7 @@ NO_ONSET = "The onset of the contact was not observed; without it the rest shape
 UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
 PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
-NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
+
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 RECORDED = ("depth", "shading")
 """Observations that are recorded of every run where they can be."""
@@ -217,16 +217,13 @@ class RunSession:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
         with self.timed("follow"):
-            if run is None or not self._follows(run):
+            # A run without an onset has no other observation.
+            if run is None or not (run.builder is None or (self.by_light and run.lit)):
                 self._grip = None
             elif run.index == frame.frame.index:
                 self._grip = GripRecorder(frame) if frame.visible else None
             elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
                 self._grip.add(frame)
-
-    def _follows(self, run: Run) -> bool:
-        """Whether the motion around the instrument may be needed: a run without an onset has no other observation."""
-        return run.builder is None or (self.by_light and run.lit)
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
         """Yield the record of a run that has ended, once it is fitted."""
@@ -257,7 +254,7 @@ class RunSession:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
-                    contact, found, simulated = self._lit(contact)
+                    contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
                 doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
@@ -266,14 +263,6 @@ class RunSession:
         detail = f"{run.detail} {doubts}".strip()
         results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
         return run.estimate(**results, detail=detail)
-
-    def _lit(self, contact: Interaction) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
-        """As of `fit_shading`: the estimate of a whole contact by its light.
-
-        Raises:
-            NoEstimate: the contact can't be estimated.
-        """
-        return fit_shading(contact, 1 / self.clip.fps)
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
@@ -323,14 +312,14 @@ def frame_estimate(
         whole: whether the doubts already say why no displacement is shown.
         arrow: tail and tip of the drawn force, shape [2, 2] [px].
     """
-    frame, contact = prepared.frame, prepared.geometry
-    outlines = ""
+    frame, contact, outlines, u, v = prepared.frame, prepared.geometry, "", None, None
     if contact is not None and prepared.track_start < 0 and prepared.contact_probability < CERTAIN:
         outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
-    missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
-    u, v = None, None
+    unseen = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
+    missing = unseen if contact is not None and lengths[0] is None and not whole else ""
     if contact is not None:
         u, v = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size).tolist()
+    judged = finite(prepared.contact_probability), finite(prepared.distance)
     return FrameEstimate(
         frame.number,
         frame.time_s,
@@ -339,9 +328,7 @@ def frame_estimate(
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
-        touch=Touch(
-            finite(prepared.contact_probability), finite(prepared.distance), u, v, prepared.instrument, *lengths, arrow
-        ),
+        touch=Touch(*judged, u, v, prepared.instrument, *lengths, arrow),
     )
 
 

@@ -19,8 +19,6 @@ from palpate.estimators.result import Quantity
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
 NO_CONTACT = "no_contact"
 """What run.json calls frames without any; their state is empty."""
-STATES = (NO_CONTACT, BELOW, ABOVE, UNKNOWN)
-"""What run.json counts."""
 
 
 @dataclass
@@ -46,7 +44,7 @@ class ForceAlarm:
     alarms: int = 0
     """How often the probability has reached `raised`."""
     frames: Counter[str] = field(default_factory=Counter)
-    """Of each of STATES."""
+    """Of each state."""
 
     def __post_init__(self) -> None:
         self.end_run()
@@ -88,7 +86,7 @@ class ForceAlarm:
 
     def record(self) -> dict[str, Any]:
         """What run.json keeps: the limit, the number of alarms, and the number of frames of each state."""
-        frames = {state: self.frames[state] for state in STATES}
+        frames = {state: self.frames[state] for state in (NO_CONTACT, BELOW, ABOVE, UNKNOWN)}
         given = {"limit": self.limit, "unit": self.unit, "raised": self.raised, "cleared": self.cleared}
         return given | {"alarms": self.alarms, "frames": frames}
 

@@ -1,7 +1,6 @@
 """The clip with what was found drawn on it: outlines, contact point, force arrow, numbers."""
 
 import textwrap
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -12,6 +11,7 @@ from palpate.estimators.result import UNITS, values_of
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.verdicts import ALARMS, NOTES, Color, in_words, numbers, state
 
+Place = tuple[float, float]
 WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
 _TOOL_COLOR: Color = (56, 189, 248)
@@ -96,7 +96,7 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     for name, value in lines:
         baseline += step
         text(canvas, name, (2 * pad, baseline), size, _SOFT)
-        text(canvas, value, (right, baseline), size, WHITE, align="right")
+        text(canvas, value, (right, baseline), size, WHITE, right=True)
     baseline += step * 0.2
     for note in notes:
         baseline += step * 0.75
@@ -139,28 +139,21 @@ def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     shade(canvas, (0, height - bar), (width, bar), 0.55)
     baseline = height - bar * 0.32
     text(canvas, f"frame {estimate.frame}   {estimate.time_s:.2f} s", (size, baseline), size, WHITE)
-    text(canvas, "Research software, not a medical device", (width - size, baseline), size, _SOFT, align="right")
+    text(canvas, "Research software, not a medical device", (width - size, baseline), size, _SOFT, right=True)
 
 
 def text(
-    image: np.ndarray,
-    string: str,
-    origin: tuple[float, float],
-    size: float,
-    color: Color,
-    *,
-    bold: bool = False,
-    align: Literal["left", "right"] = "left",
+    image: np.ndarray, string: str, at: Place, size: float, color: Color, *, bold: bool = False, right: bool = False
 ) -> None:
     """Write one line on an RGB image in place.
 
     Args:
         image: uint8, shape [H, W, 3].
-        origin: (x, y) of the baseline's left or right end, by `align` [px].
+        at: (x, y) of the baseline's left end, or `right` end [px].
         size: height of the font [px].
     """
-    shift = text_width(string, size, bold=bold) if align == "right" else 0
-    position = (round(origin[0] - shift), round(origin[1]))
+    shift = text_width(string, size, bold=bold) if right else 0
+    position = (round(at[0] - shift), round(at[1]))
     cv2.putText(image, _drawable(string), position, color, _FONT, round(size), 650 if bold else 400)
 
 

@@ -1,7 +1,5 @@
 """One clip's results, in a folder that is complete or not there at all."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -74,12 +72,12 @@ class ClipResults:
             with writing(folder.parent):
                 self.partial = store.partial_folder(folder)
                 self._waiting = self._open.enter_context(closing(FrameSpool(self.partial)))
-                self.artefacts = [self._open.enter_context(closing(kind(self))) for kind in kinds]  # ty: ignore[invalid-argument-type]  two paths to one class
+                self.artefacts = [self._open.enter_context(closing(kind(self))) for kind in kinds]
         except BaseException:
             self.__exit__()
             raise
 
-    def __enter__(self) -> ClipResults:
+    def __enter__(self) -> "ClipResults":
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -74,9 +74,7 @@ def test_what_was_not_seen_does_not_count():
 
 def test_points_add_up_and_every_instant_is_at_the_nearest_step():
     """Information of several points is the sum of each one's, and the whole field tells most."""
-    alone = sum(
-        Likelihood(MESH, PRESS, observed(points=POINTS[[index]]), MECHANICS).information(LOGS) for index in range(3)
-    )
+    alone = sum(Likelihood(MESH, PRESS, observed(points=POINTS[[i]]), MECHANICS).information(LOGS) for i in range(3))
     together = Likelihood(MESH, PRESS, observed(), MECHANICS).information(LOGS)
     np.testing.assert_allclose(together, alone, rtol=1e-9)
     field = Likelihood(MESH, PRESS, observed(points=np.arange(81)), MECHANICS).information(LOGS)

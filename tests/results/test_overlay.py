@@ -120,9 +120,7 @@ def test_the_alarm_is_said_and_all_but_safety_has_an_edge(alarm: str, said: str)
 
 def test_a_long_remark_makes_the_panel_longer() -> None:
     detail = "The tissue is pressed at 74° to the line of sight, so its dent may hide its own bottom."
-    plain, remarked = (
-        draw_overlay(grey(), SIZE, None, FrameEstimate(7, 0.28, "no_tool", told)) for told in ("", detail)
-    )
+    plain, remarked = (draw_overlay(grey(), SIZE, None, FrameEstimate(7, 0.28, "no_tool", why)) for why in ("", detail))
     rows = np.flatnonzero((plain != remarked).any(axis=(1, 2)))
     assert np.ptp(rows) > 3 * 10  # more than three lines of 10 px
 

@@ -136,9 +136,7 @@ def test_pages_are_rebuilt_and_a_user_s_page_stays(results, tmp_path, capsys) ->
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
-def test_a_page_that_can_not_be_written_or_found_is_one_sentence(
-    results, tmp_path, capsys, monkeypatch, number
-) -> None:
+def test_a_page_that_can_not_be_written_or_found_is_one_sentence(results, tmp_path, capsys, monkeypatch, number):
     shutil.copytree(results, copied := tmp_path / "copied")
 
     def refuse(path: Path, _: bytes) -> None:

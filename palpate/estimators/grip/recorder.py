@@ -22,8 +22,6 @@ LEAST_FRAMES = 3
 """Least number of moving frames to fit, and to judge."""
 MOST_KEPT = 32
 """Number of frames that are kept, evenly spread over the moving ones: memory does not grow with the run."""
-MOST_COMPARED = 8
-"""Number of these by which the grip elsewhere is judged."""
 
 
 class _Kept(NamedTuple):
@@ -74,17 +72,14 @@ class GripRecorder:
         """
         half, points = len(self._kept) // 2, self._follower.points.astype(np.float64)
         if half < LEAST_FRAMES:
-            raise NoEstimate(
-                f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than "
-                f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
-            )
+            problem = f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than"
+            raise NoEstimate(f"{problem} {LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed.")
         times, moved, own = (np.array(values, np.float64) for values in zip(*self._kept, strict=True))
         seen = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
         gripped = seen & (self._follower.distance < DRIVEN)
         if gripped.sum() < LEAST_GRIPPED:
-            raise NoEstimate(
-                f"{gripped.sum()} tissue points at the instrument are seen in all frames; {LEAST_GRIPPED} are needed."
-            )
+            problem = f"{gripped.sum()} tissue points at the instrument are seen in all frames;"
+            raise NoEstimate(f"{problem} {LEAST_GRIPPED} are needed.")
         terms = affine_terms(points)
         # Known at all points that are seen, and affine.
         background = np.linalg.lstsq(terms[seen], np.hstack([*(moved - own)[:, seen]]), rcond=None)[0]
@@ -118,9 +113,10 @@ class GripRecorder:
         gripped = np.zeros(len(points), bool)
         gripped[np.argsort(apart)[:count]] = True
         moving = own[[GripFrame(frame, gripped).moves for frame in own]]
-        half = min(len(moving), MOST_COMPARED) // 2
+        count = min(len(moving), 8)
+        half = count // 2
         if half < LEAST_FRAMES:
             return -math.inf
-        used = moving[np.linspace(0, len(moving) - 1, min(len(moving), MOST_COMPARED)).round().astype(int)]
+        used = moving[np.linspace(0, len(moving) - 1, count).round().astype(int)]
         still = np.zeros((len(used), 3, 2))
         return fit_sheets(points, self._follower.spacing, gripped, used, still).skill(half)

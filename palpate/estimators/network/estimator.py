@@ -73,11 +73,7 @@ class NetworkEstimator(ModelEstimator):
     live = True
     model: PosteriorModel
 
-    def __init__(
-        self,
-        model: PosteriorModel,
-        settings: NetworkSettings = NetworkSettings(),
-    ) -> None:
+    def __init__(self, model: PosteriorModel, settings: NetworkSettings = NetworkSettings()) -> None:
         super().__init__(model)
         if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
             raise ModelFileError(f"{model.path} takes another contact's vector than this version has; train it anew.")

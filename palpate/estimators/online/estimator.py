@@ -6,9 +6,8 @@ shows, and its stiffness changed by one step. θ, a force and a unit are not det
 them.
 """
 
-import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -116,10 +115,8 @@ class _Followed:
         fit = self._driven.fit
         if fit is None:
             return ""
-        return (
-            f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending "
-            f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
-        )
+        text = f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending"
+        return f"{text} {fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
 
     def estimate(self) -> FieldResult:
         """What the run tells by now."""
@@ -155,7 +152,7 @@ class OnlineSession(RunSession):
         doubts = "" if field is not None or not frame.in_contact else self._reason
         verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
         found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
-        yield dataclasses.replace(found, field=field)
+        yield replace(found, field=field)
 
     def _field(self, frame: PreparedFrame) -> ParticleField | None:
         """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""

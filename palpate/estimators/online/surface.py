@@ -73,11 +73,7 @@ class Surface:
 
 
 def make_surface(
-    frame: PreparedFrame,
-    camera: Camera,
-    geometry: GeometrySettings,
-    particles: int,
-    thickness: float | None = None,
+    frame: PreparedFrame, camera: Camera, geometry: GeometrySettings, particles: int, thickness: float | None = None
 ) -> Surface:
     """Mesh the tissue of a frame with about so many particles (Liang 2024, section III), evenly over the picture.
 
@@ -123,10 +119,7 @@ def make_surface(
         near = f"{reach * shown.size[0] / size[0]:.0f} px"
         raise NoEstimate(f"No tissue lies within {near} of the instrument in frame {frame.frame.number}.")
     pinned = mesh.rim & ~driven & (away > np.percentile(away, FAR))
-    if thickness is None:
-        body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
-    else:
-        body = volume_below(mesh, pinned, thickness, layers)
+    body = body_below(mesh, pinned, thickness, layers)
     surface = Surface(body, mesh.triangles, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)
     return surface if thickness is None else replace(surface, pixels=surface.project(body.rest))
 
@@ -144,12 +137,16 @@ def layers_below(area: float, thickness: float, particles: int) -> int:
     return int(layers[np.abs(np.log(np.sqrt(area * layers / particles) * (layers - 1) / thickness)).argmin()])
 
 
-def volume_below(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Body:
+def body_below(mesh: Mesh, pinned: np.ndarray, thickness: float | None, layers: int) -> Body:
     """What lies below a surface along its normals, in so many layers; pinned is all below what is pinned there.
+
+    Without a thickness it is the sheet itself.
 
     Raises:
         NoEstimate: nothing does.
     """
+    if thickness is None:
+        return make_body(mesh.vertices, mesh.triangles, pinned=pinned)
     upper, faces = mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64)
     away = np.linalg.det(upper[faces]) > 0  # of the camera, at the origin
     faces[away] = faces[away][:, ::-1]

@@ -1,7 +1,5 @@
 """overlay.mp4: the clip with what was found drawn on it."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor

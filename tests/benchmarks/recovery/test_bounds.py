@@ -31,9 +31,7 @@ def truth() -> tuple[Scene, PressedMotion]:
     return draw_truth(SETTINGS, 3)
 
 
-def contact_of(
-    aside: tuple[int, int] = (0, 0), *, released: bool = True, noise: SequenceNoise | None = None
-) -> Interaction:
+def contact_of(aside=(0, 0), *, released: bool = True, noise: SequenceNoise | None = None) -> Interaction:
     """The true contact as it would be observed without errors, found so many rows and columns beside where it is."""
     scene, motion = truth()
     mesh = scene.mesh
@@ -42,8 +40,8 @@ def contact_of(
     until = len(motion.times) if released else motion.release_frame
     frames = np.arange(motion.onset_frame + 1, until)
     times = motion.times[frames] - motion.times[motion.onset_frame]
-    steps = (motion.release_frame - motion.onset_frame) / SETTINGS.fps / limits.MECHANICS.time_step
-    load = held(steps if released else limits.MECHANICS.steps, limits.MECHANICS.steps)
+    steps = (motion.release_frame - motion.onset_frame) / SETTINGS.fps / limits.FITTED.time_step
+    load = held(steps if released else limits.FITTED.steps, limits.FITTED.steps)
     whole = np.zeros((len(frames), len(mesh.vertices), 3))
     whole[:, motion.moving] = motion.field[frames]
     patches = Patches(mesh, vertex, (214, 120))
@@ -56,7 +54,7 @@ def contact_of(
             "point": Observation.of_point(vertex, times, motion.contact[frames], SIGMA),
             "depth": DepthSequence(times, change, noise or SequenceNoise(SIGMA, 0.0), (214, 120)),
         },
-        limits.MECHANICS.time_step,
+        limits.FITTED.time_step,
     )
 
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from palpate.cli.train_masks import MasksCLI
 
 from palpate.cli import train
-from palpate.cli.train_masks import MasksCLI
 from palpate.estimators.network.training import ContactSettings
 from palpate.estimators.online.determined import BENDINGS
 from palpate.estimators.online.objective import PAPER

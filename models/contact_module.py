@@ -47,6 +47,7 @@ class AmortisedPosterior(LightningModule):
     EXPORTED: ClassVar[str] = "posterior.pt"
     """File that a training leaves in its run folder."""
     REFUSED: ClassVar[dict[str, tuple[tuple, str]]] = {
+        "accelerator": (("cpu",), "rollouts cost more than the network; give cpu"),
         "max_epochs": ((3,), "each epoch is a stage of the training; give 3"),
         "reload_dataloaders_every_n_epochs": ((1,), "each stage has batches of its own; give 1"),
         "gradient_clip_val": ((None, 0), "every stage clips gradients to a norm of 1; leave it out"),

@@ -3,7 +3,6 @@
 infer        video → estimates
 live         camera, stream or pipe → a line of JSON a frame
 train        fit, validate, test or export the parameter network, from one configuration file
-train_masks  trains the network that outlines instruments
 tracking     the MLflow run of a training
 calibrate    measured forces → material constants
 page         results → pages for a browser

@@ -81,10 +81,10 @@ class SentenceParser(LightningArgumentParser):
             raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; correct or remove it.")
         return super().parse_path(cfg_path, *arguments, **options)
 
-    def instantiate_classes(self, cfg: Namespace, **options: Any) -> Namespace:
+    def instantiate(self, cfg: Namespace, **options: Any) -> Any:
         """Build what the settings describe; what a class's own check refuses is wrong use."""
         try:
-            return super().instantiate_classes(cfg, **options)
+            return super().instantiate(cfg, **options)
         except ValueError as error:
             while error.__cause__ is not None and str(error).startswith("Does not validate"):
                 error = error.__cause__

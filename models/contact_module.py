@@ -1,6 +1,6 @@
 """Training of the contact posterior without labels: amortised variational inference on observed contact motions.
 
-    palpate train fit -c configs/contact.yaml [--data.source.contacts 3200 …]
+    palpate train fit -c configs/contact.yaml [--data.contacts 3200 …]
 
 The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
 Gaussian with the box's mean and variance). It reads motions, depth-change sequences and noise levels, never θ; of half
@@ -35,7 +35,7 @@ STAGES = "rough", "fine", "bound"
 
 
 class AmortisedPosterior(LightningModule):
-    """Trains a `ContactPosterior`; `palpate.data.training.contacts.ContactData` gives the batches of each stage.
+    """Trains a `ContactPosterior` on the batches of `palpate.estimators.network.training.SimulatedContacts`.
 
     Args:
         contact_features: length of the contact's vector; train.py takes it from the data.
@@ -57,11 +57,7 @@ class AmortisedPosterior(LightningModule):
     """Values of the trainer's options that work, and why no other does."""
 
     def __init__(
-        self,
-        contact_features: int,
-        rough_rate: float = 1e-3,
-        fine_rate: float = 2e-3,
-        weight_decay: float = 1e-4,
+        self, contact_features: int, rough_rate: float = 1e-3, fine_rate: float = 2e-3, weight_decay: float = 1e-4
     ) -> None:
         super().__init__()
         self.save_hyperparameters()
@@ -76,7 +72,8 @@ class AmortisedPosterior(LightningModule):
         rates = [self.hparams["rough_rate"], self.hparams["fine_rate"], self.hparams["fine_rate"]]
         networks = self.posterior, self.posterior, self.posterior.expected_bound
         optimizers, schedules = [], []
-        for network, rate, steps in zip(networks, rates, self.trainer.datamodule.source.steps, strict=True):
+        for network, rate, batches in zip(networks, rates, self.trainer.datamodule.stages, strict=True):
+            steps = len(batches)
             optimizer = torch.optim.AdamW(network.parameters(), rate, weight_decay=self.hparams["weight_decay"])
             optimizers.append(optimizer)
             rise = max(0.1, 3 / steps)

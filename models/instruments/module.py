@@ -56,6 +56,8 @@ class InstrumentSegmentation(LightningModule):
     """Arguments of Lightning's ModelCheckpoint."""
     EXPORTED: ClassVar[str] = "instruments.onnx"
     """File that a training leaves in its run folder."""
+    TRAINED: ClassVar[str] = "weights"
+    """Setting that gives a trained network without a checkpoint."""
 
     def __init__(
         self,

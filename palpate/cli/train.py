@@ -3,7 +3,7 @@
     palpate train fit -c configs/paper.yaml [--trainer.max_epochs 5 …] [--ckpt_path last]
     palpate train validate|test -c configs/paper.yaml --ckpt_path best
     palpate train export -c configs/paper.yaml --ckpt_path best --output parameters.onnx
-    palpate train fit -c configs/contact.yaml [--data.source.contacts 3200 …]
+    palpate train fit -c configs/contact.yaml [--data.contacts 3200 …]
     palpate train fit|validate -c configs/masks.yaml [--data.real DIR]
 
 Lightning's command line: a file names model and data by `class_path`, and any field can be overridden. `--ckpt_path` is
@@ -18,7 +18,7 @@ import re
 import sys
 import warnings
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import torch
 from jsonargparse import Namespace
@@ -157,14 +157,14 @@ class RunFiles(Callback):
 
     def on_test_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Refuse before the test to replace a user's files by the evaluation's."""
-        require_own(*(folder_of(trainer.default_root_dir, "evaluation") / name for name in FILES))
+        require_own(*(Path(trainer.default_root_dir, "evaluation", name) for name in FILES))
 
-    def on_test_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Write the paper's table 2 and figure 3, the collapse check and the baselines."""
-        if not (trainer.is_global_zero and isinstance(pl_module, PhysicsInformedGAN)):
+        if not (stage == "test" and trainer.is_global_zero and isinstance(pl_module, PhysicsInformedGAN)):
             return
         contacts = trainer.datamodule.interactions("train", 8)
-        folder = folder_of(trainer.default_root_dir, "evaluation")
+        folder = Path(trainer.default_root_dir, "evaluation")
         files = write_evaluation(pl_module.test_records, contacts, pl_module.mechanics, pl_module.bounds, folder)
         for name, path in files.items():
             log_artifact(trainer, path, "evaluation")
@@ -195,9 +195,9 @@ class TrainCLI(LightningCLI):
         module, _, name = config.model.class_path.rpartition(".")
         model = getattr(importlib.import_module(module), name)
         require_usable(config, getattr(model, "REFUSED", {}))
-        folder = folder_of(root, "checkpoints")
-        config.ckpt_path = resolved(config, command, folder)
-        goes_on = resumes(config.ckpt_path, folder)
+        folder = Path(root or ".") / "checkpoints"
+        config.ckpt_path = resolved(config, command, folder, getattr(model, "TRAINED", None))
+        goes_on = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
         if command == "fit" and any(folder.glob("*.ckpt")) and not goes_on:
             raise UsageError(
                 f"{root} holds a training already; add --ckpt_path last to go on with it, or give another "
@@ -245,47 +245,30 @@ def require_usable(config: Namespace, refused: dict[str, tuple[tuple, str]]) -> 
         raise UsageError(f"trainer.devices is {devices}; give 1 to at most {allowed}, one for each core here.")
 
 
-def resolved(config: Namespace, command: str, folder: Path) -> str | None:
+def resolved(config: Namespace, command: str, folder: Path, given: str | None = None) -> str | None:
     """Path of the checkpoint that a command follows, checked; None where a training begins.
 
     Args:
         config: settings of the command.
         command: fit, validate, test or export.
         folder: folder of the run's checkpoints.
+        given: the model's setting that gives a trained network without a checkpoint; None = there is none.
 
     Raises:
+        UsageError: there is none to follow.
         CheckpointError: the file can't be used with these settings.
     """
-    path = config.ckpt_path
+    path, settings = config.ckpt_path, config.model.init_args
     if path in ("best", "last"):
         path = str(folder / f"{path}.ckpt")
         if command == "fit" and not any(folder.glob("*.ckpt")):
             print(f"There is no {path} yet; training starts from the beginning.")
             return None
     if path is not None:
-        require_same_model(Path(path), config.model.init_args.as_dict())
-    elif command != "fit" and not config.model.init_args.get("weights"):
+        require_same_model(Path(path), settings.as_dict())
+    elif command != "fit" and not (given and settings[given]):
         raise UsageError(f"{command} needs a trained network; add --ckpt_path FILE, best or last.")
     return path
-
-
-def folder_of(run_folder: str | os.PathLike[str] | None, part: Literal["checkpoints", "evaluation"]) -> Path:
-    """Folder of a run's checkpoints, or of the files that `test` writes."""
-    return Path(run_folder or ".") / part
-
-
-def resumes(checkpoint: str | None, folder: Path) -> bool:
-    """Whether a training goes on from a checkpoint of its own folder of checkpoints."""
-    return checkpoint is not None and Path(checkpoint).resolve().parent == folder.resolve()
-
-
-CHOSEN: dict[str, Any] = {
-    **{"trainer_class": RunTrainer, "parser_class": SentenceParser, "save_config_callback": RunRecord},
-    **{"trainer_defaults": {"default_root_dir": "runs/train"}, "parser_kwargs": {"description": __doc__}},
-    **{"seed_everything_default": 0, "auto_configure_optimizers": False},
-    **{"subclass_mode_model": True, "subclass_mode_data": True},
-}
-"""How Lightning's command line is made."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -294,7 +277,13 @@ def main(arguments: list[str] | None = None) -> int:
     disable_possible_user_warnings()  # guesses about worker counts
     try:
         with interruptible():
-            TrainCLI(LightningModule, LightningDataModule, **CHOSEN, args=arguments)
+            TrainCLI(
+                *(LightningModule, LightningDataModule, RunRecord),
+                **{"subclass_mode_model": True, "subclass_mode_data": True, "auto_configure_optimizers": False},
+                **{"trainer_class": RunTrainer, "trainer_defaults": {"default_root_dir": "runs/train"}},
+                **{"parser_class": SentenceParser, "parser_kwargs": {"description": __doc__}},
+                **{"seed_everything_default": 0, "args": arguments},
+            )
     except (*WRONG_USE, *FAILURES) as error:
         said = str(error)
         status = 2 if isinstance(error, WRONG_USE) else 1

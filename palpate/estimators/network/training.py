@@ -7,9 +7,10 @@ import dataclasses
 import math
 from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import torch
 from rich.console import Console
 
 from palpate.common.command_line import progress_bars
@@ -21,20 +22,8 @@ from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, sequence_f
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.data.synthetic.contacts import SimulatedContact
 from palpate.data.synthetic.truth import REGIMES
-from palpate.data.training.contacts import ContactSource, TrainingError
-from palpate.estimators.network.fits import (
-    CONTACTS_A_SCENE,
-    EXPLAINED,
-    FRAME_S,
-    MECHANICS,
-    NOISE,
-    SCENES,
-    Drawn,
-    Fits,
-    draw_observed,
-    fit_sequence,
-    scene_contacts,
-)
+from palpate.data.training.contacts import Batches, ContactData, TrainingError
+from palpate.estimators.network import fits
 from palpate.physics.likelihood import Likelihood
 
 ROUGH_BATCH, FINE_BATCH = 64, 512
@@ -71,8 +60,8 @@ class Rough(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class SimulatedContacts(Checked, ContactSource):
-    """Contacts of many scenes, of half of which the instants are known to a frame only."""
+class ContactSettings(Checked):
+    """Settings of a training."""
 
     contacts: Annotated[int, 1, LARGEST] = 3200
     """Number of simulated contacts."""
@@ -84,83 +73,95 @@ class SimulatedContacts(Checked, ContactSource):
     workers: Annotated[int, 0, MOST_THREADS] | None = None
     """Processes that draw contacts and explain motions; 0 = in this one, None = one a core."""
 
-    features = FEATURES + SEQUENCE_FEATURES
 
-    @property
-    def steps(self) -> tuple[int, int, int]:
-        """Batches of each stage."""
-        return self.rough_steps, self.fine_steps, self.bound_steps
+class SimulatedContacts(ContactData):
+    """Contacts of many scenes, of half of which the instants are known to a frame only.
+
+    Args:
+        settings: the fields of ContactSettings.
+    """
+
+    contact_features = FEATURES + SEQUENCE_FEATURES
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__()
+        # jsonargparse reads this call: every field of ContactSettings is an option.
+        self.settings = chosen = ContactSettings(**settings)
+        steps = chosen.rough_steps, chosen.fine_steps, chosen.bound_steps
+        self.stages = [Batches(*each) for each in zip((self.rough, self.fine, self.fine), steps, strict=True)]
+        self.first, self.later = (np.random.default_rng([chosen.seed, part]) for part in (17, 19))
+        self.explanations: fits.Fits | None = None
 
     @cached_property
     def made(self) -> list[Made]:
         """Contacts of both kinds."""
-        half = -(-self.contacts // 2)
+        chosen, half = self.settings, -(-self.settings.contacts // 2)
         # Number added to the seed for contacts whose instants are unknown.
-        parts = ((self.seed, 0.0), (self.seed + 1_000_003, FRAME_S))
-        drawn = [(make_contacts(half, seed, self.workers, within), within) for seed, within in parts]
+        parts = ((chosen.seed, 0.0), (chosen.seed + 1_000_003, fits.FRAME_S))
+        drawn = [(make_contacts(half, seed, chosen.workers, within), within) for seed, within in parts]
         found = [(contact.interaction, within) for contacts, within in drawn for contact in contacts]
         return [Made(contact, contact_surroundings(contact), within) for contact, within in found]
 
-    @cached_property
-    def generators(self) -> tuple[np.random.Generator, np.random.Generator]:
-        """What the first stage and the scales are drawn by, and what the others are."""
-        return np.random.default_rng([self.seed, 17]), np.random.default_rng([self.seed, 19])
+    def begin(self, stage: int) -> None:
+        """Set the inputs' scale, and explain the motions from the network's estimates before the second stage.
 
-    @cached_property
-    def fits(self) -> list[Fits]:
-        """The explained contacts, once there are any."""
-        return []
+        Raises:
+            TrainingError: no contact could be drawn, or no motion explained.
+            WorkerLost: a worker process was killed.
+        """
+        posterior = self.trainer.lightning_module.posterior
+        if stage == 0:
+            posterior.standardise(torch.tensor(np.stack([self.draw()[1] for _ in range(SCALE_SAMPLES)])))
+        if stage and self.explanations is None:
+            quiet = np.stack([made.observed(made.contact.moved, fits.NOISE[0])[1] for made in self.made])
+            with torch.no_grad():
+                starts = posterior(torch.from_numpy(quiet))[0].double().numpy()
+            self.explanations = self.explained(starts)
+        if stage == 1:  # the first stage had none of the sequence's inputs
+            examples = torch.from_numpy(fits.draw_observed(self.explanations, SCALE_SAMPLES, self.first).features)
+            posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
 
     def rough(self, step: int) -> Rough:
-        blur = BLUR_SHARES[0] * (BLUR_SHARES[1] / BLUR_SHARES[0]) ** (step / self.rough_steps)
+        """A batch of the first stage by its number."""
+        blur = BLUR_SHARES[0] * (BLUR_SHARES[1] / BLUR_SHARES[0]) ** (step / self.settings.rough_steps)
         batch = [self.draw() for _ in range(ROUGH_BATCH)]
         return Rough(np.stack([features for _, features in batch]), [widened(contact, blur) for contact, _ in batch])
 
-    def fine(self, step: int) -> Drawn:
-        return draw_observed(self.fits[0], FINE_BATCH, self.generators[1])
-
-    def standardise(self, stage: int, set_scale: Callable[..., None]) -> None:
-        if stage == 0:
-            set_scale(np.stack([self.draw()[1] for _ in range(SCALE_SAMPLES)]))
-        elif stage == 1:  # the first stage had none of the sequence's inputs
-            examples = draw_observed(self.fits[0], SCALE_SAMPLES, self.generators[0])
-            set_scale(examples.features, least=LEAST_SCALE, first=FEATURES)
+    def fine(self, step: int) -> fits.Drawn:
+        """A batch of the other stages."""
+        return fits.draw_observed(self.explanations, FINE_BATCH, self.later)
 
     def draw(self) -> tuple[Interaction, np.ndarray]:
         """A contact with Gaussian noise along the force, and its features."""
-        generator = self.generators[0]
-        made = self.made[int(generator.integers(len(self.made)))]
-        contact, noise = made.contact, math.exp(generator.uniform(*np.log(NOISE)))
-        error = generator.normal(0, noise, len(contact.observation))[:, None] * contact.direction
+        made = self.made[int(self.first.integers(len(self.made)))]
+        contact, noise = made.contact, math.exp(self.first.uniform(*np.log(fits.NOISE)))
+        error = self.first.normal(0, noise, len(contact.observation))[:, None] * contact.direction
         return made.observed(contact.moved + error, noise)
 
-    def explain(self, estimate: Callable[[np.ndarray], np.ndarray]) -> None:
-        """Explain every motion; motions that no parameters explain are left out and counted.
-
-        Raises:
-            TrainingError: no motion could be explained.
-            WorkerLost: a worker process was killed.
-        """
-        if self.fits:
-            return
-        starts = estimate(np.stack([made.observed(made.contact.moved, NOISE[0])[1] for made in self.made]))
+    def explained(self, starts: np.ndarray) -> fits.Fits:
+        """What explains the motions, from starts [N, 3]; those that no parameters explain are left out."""
         tasks = [(made.contact, start, made.within) for made, start in zip(self.made, starts, strict=True)]
-        with progress_bars(Console()) as progress:
-            fitted = run_tasks(fit_sequence, tasks, self.workers, ordered=True)
-            found = list(progress.track(fitted, len(tasks), description="fits"))
+        found = run_shown(fits.fit_sequence, tasks, self.settings.workers, "fits")
         both = zip(self.made, found, strict=True)
-        kept = [(made.contact, fit, made.within) for made, fit in both if fit.rms <= EXPLAINED]
-        print(f"{len(kept)} of {len(found)} motions explained to {EXPLAINED:g}")
+        kept = [(made.contact, fit, made.within) for made, fit in both if fit.rms <= fits.EXPLAINED]
+        print(f"{len(kept)} of {len(found)} motions explained to {fits.EXPLAINED:g}")
         if not kept:
-            raise TrainingError("No motion could be explained; give more --data.source.contacts.")
-        self.fits.append(Fits.of(*zip(*kept, strict=True)))
+            raise TrainingError("No motion could be explained; give more --data.contacts.")
+        return fits.Fits.of(*zip(*kept, strict=True))
+
+
+def run_shown(function: Callable[[Any], Any], tasks: list, workers: int | None, name: str) -> list:
+    """Results of tasks in their order (`run_tasks`), with a progress bar."""
+    with progress_bars(Console()) as progress:
+        done = run_tasks(function, tasks, workers, ordered=True)
+        return list(progress.track(done, len(tasks), description=name))
 
 
 def widened(contact: Interaction, blur: float) -> Likelihood:
     """A contact's likelihood, with σ widened by a share (`blur`) of its largest motion."""
     largest = float(np.linalg.norm(contact.moved, axis=1).max())
     observation = contact.observation.moved(contact.moved, math.hypot(contact.noise, blur * largest))
-    return Likelihood(contact.mesh, contact.load, observation, MECHANICS, np.float32)
+    return Likelihood(contact.mesh, contact.load, observation, fits.MECHANICS, np.float32)
 
 
 def make_contacts(count: int, seed: int, workers: int | None = None, within: float = 0.0) -> list[SimulatedContact]:
@@ -176,16 +177,10 @@ def make_contacts(count: int, seed: int, workers: int | None = None, within: flo
         TrainingError: no contact could be drawn.
         WorkerLost: a worker process was killed.
     """
-    seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // CONTACTS_A_SCENE)).tolist()
-    turns = [dataclasses.replace(SCENES, regime=regime) for regime in REGIMES]
+    seeds = np.random.SeedSequence((seed, 0xC0)).generate_state(-(-count // fits.CONTACTS_A_SCENE)).tolist()
+    turns = [dataclasses.replace(fits.SCENES, regime=regime) for regime in REGIMES]
     tasks = [(turns[number % len(turns)], scene, within) for number, scene in enumerate(seeds)]
-    with progress_bars(Console()) as progress:
-        drawn = run_tasks(scene_contacts, tasks, workers, ordered=True)
-        found = [
-            contact for contacts in progress.track(drawn, len(tasks), description="scenes") for contact in contacts
-        ]
+    found = [contact for contacts in run_shown(fits.scene_contacts, tasks, workers, "scenes") for contact in contacts]
     if not found:
-        raise TrainingError(
-            "No contact could be drawn; give more --data.source.contacts or another --data.source.seed."
-        )
+        raise TrainingError("No contact could be drawn; give more --data.contacts or another --data.seed.")
     return found

@@ -104,7 +104,7 @@ def fits(contacts: list[SimulatedContact]) -> Fits:
 
 
 def new_posterior() -> ContactPosterior:
-    return ContactPosterior(SimulatedContacts.features, torch.tensor(RECOMMENDED.log_box))
+    return ContactPosterior(SimulatedContacts.contact_features, torch.tensor(RECOMMENDED.log_box))
 
 
 def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps: int) -> None:
@@ -183,11 +183,10 @@ def test_contacts_are_of_every_regime(drawn: list[SimulatedContact]) -> None:
 
 def explained(contacts: list[SimulatedContact], workers: int) -> Fits:
     """What explains contacts, from the middle of the box."""
-    source = SimulatedContacts(workers=workers)
+    data = SimulatedContacts(workers=workers)
     parts = [(contact.interaction, within) for contact, within in zip(contacts, MADE, strict=True)]
-    vars(source)["made"] = [Made(contact, contact_surroundings(contact), within) for contact, within in parts]
-    source.explain(lambda features: np.tile(RECOMMENDED.log_box.mean(axis=0), (len(features), 1)))
-    return source.fits[0]
+    data.made = [Made(contact, contact_surroundings(contact), within) for contact, within in parts]
+    return data.explained(np.tile(RECOMMENDED.log_box.mean(axis=0), (len(contacts), 1)))
 
 
 @pytest.mark.slow
@@ -226,9 +225,9 @@ def test_numbers_that_would_end_a_training_late_are_refused_at_once(option, valu
 @pytest.mark.parametrize(
     ("option", "reason"),
     [
-        ("data.source.contacts=0", "contacts is 0; give 1 or more"),
-        ("data.source.contacts=many", "--data.source.contacts: Expected a <class 'int'>"),
-        ("data.source.contac=3", "--data.source.contac is not accepted"),
+        ("data.contacts=0", "contacts is 0; give 1 or more"),
+        ("data.contacts=many", "--data.contacts: Expected a <class 'int'>"),
+        ("data.contac=3", "--data.contac is not accepted"),
         ("trainer.max_epochs=2", "trainer.max_epochs is 2, and each epoch is a stage of the training; give 3."),
     ],
 )
@@ -255,7 +254,7 @@ def made(unsure: list[SimulatedContact], fitted: list[Fitted], monkeypatch: pyte
         return [unsure[given[-1] > 0]]
 
     monkeypatch.setattr(contact_training, "make_contacts", make)
-    monkeypatch.setattr(contact_training, "fit_sequence", lambda task: fitted[task[2] > 0])
+    monkeypatch.setattr(drawing, "fit_sequence", lambda task: fitted[task[2] > 0])
     monkeypatch.setattr(contact_training, "ROUGH_BATCH", 8)
     monkeypatch.setattr(contact_training, "FINE_BATCH", 32)
     return asked
@@ -264,7 +263,7 @@ def made(unsure: list[SimulatedContact], fitted: list[Fitted], monkeypatch: pyte
 def short(folder: Path, *options: str) -> int:
     settings = {"trainer.default_root_dir": folder, "trainer.log_every_n_steps": 1, "tracking": "false"}
     settings |= dict.fromkeys(("trainer.enable_progress_bar", "trainer.enable_model_summary"), "false")
-    settings |= {f"data.source.{name}_steps": 4 for name in contact_module.STAGES} | {"data.source.workers": 0}
+    settings |= {f"data.{name}_steps": 4 for name in contact_module.STAGES} | {"data.workers": 0}
     return train.main(["fit", "-c", str(CONFIG), *(f"--{name}={value}" for name, value in settings.items()), *options])
 
 
@@ -326,8 +325,8 @@ def test_what_ends_a_training_is_one_sentence_and_it_goes_on(error, status, told
 
 
 def test_nothing_to_train_on_is_told(unsure: list[SimulatedContact], fitted: list[Fitted], monkeypatch) -> None:
-    monkeypatch.setattr(contact_training, "fit_sequence", lambda task: fitted[task[2] > 0])
-    monkeypatch.setattr(contact_training, "EXPLAINED", -1.0)
+    monkeypatch.setattr(drawing, "fit_sequence", lambda task: fitted[task[2] > 0])
+    monkeypatch.setattr(drawing, "EXPLAINED", -1.0)
     with pytest.raises(contact_training.TrainingError, match="No motion could be explained"):
         explained(unsure, 0)
     monkeypatch.setattr(drawing, "draw_contacts", lambda *_, **__: [])

@@ -275,6 +275,8 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
     ("option", "value", "expected"),
     [
         ("model.widht", 5, "--model.widht"),
+        ("model.window", 4, "model.window follows data.samples.window; give that one alone"),
+        ("data.bounds.force", "[-0.2, 0.0]", "data.bounds follows model.bounds; give that one alone"),
         ("data.depth.threads", 100_000, "depth.threads is 100000; give 0 to 1024"),
         ("data.loading.num_workers", 100_000, "num_workers is 100000; give 0 to 1024"),
         ("data.loading.batch_size", 100_000, "batch_size is 100000; give 1 to"),

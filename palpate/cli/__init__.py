@@ -2,7 +2,7 @@
 
 infer        video → estimates
 live         camera, stream or pipe → a line of JSON a frame
-train        fit, validate, test or export the parameter network, from one configuration file
+train        fit, validate, test or export a network, from one configuration file
 tracking     the MLflow run of a training
 calibrate    measured forces → material constants
 page         results → pages for a browser

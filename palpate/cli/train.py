@@ -17,6 +17,8 @@ import os
 import re
 import sys
 import warnings
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -33,23 +35,24 @@ from palpate.common.doors import INTERRUPTED, by_interrupt, interruptible, plain
 from palpate.common.output import ForeignFile, require_own
 from palpate.common.settings import shown, sound
 from palpate.common.workers import WorkerLost
+from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.data.training.contacts import TrainingError
 from palpate.models.checkpoint import CheckpointError, read_checkpoint, require_same_model, require_same_weights
 from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
 from palpate.models.onnx_export import ParityError
-from palpate.physics.mechanics import UnstableConfiguration
+from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 from palpate.results.paper.report import FILES, EvaluationError, write_evaluation
 
 MAX_SEED = 2**32 - 1
 """Largest seed of numpy's global generator."""
-LINKS = {
-    "model.init_args.window": "data.init_args.samples.window",
-    "data.init_args.samples.mechanics": "model.init_args.mechanics",
-    "data.init_args.samples.geometry": "data.init_args.geometry",
-    "data.init_args.bounds": "model.init_args.bounds",
-}
-"""Settings that follow another one, by their names; Lightning leaves a link out where a class lacks one of the two."""
+LINKS = (
+    ("data.init_args.samples.window", "model.init_args.window", 1),
+    ("model.init_args.mechanics", "data.init_args.samples.mechanics", asdict(Mechanics())),
+    ("model.init_args.bounds", "data.init_args.bounds", asdict(Bounds())),
+    ("data.init_args.geometry", "data.init_args.samples.geometry", asdict(GeometrySettings())),
+)
+"""A setting, the one that follows it, and that one's default; Lightning leaves out what a class lacks."""
 CHECKPOINTS = [{"filename": "last", "every_n_epochs": 1, "save_on_train_epoch_end": True}]
 """Arguments of Lightning's ModelCheckpoint, for models that name none."""
 FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
@@ -93,6 +96,7 @@ class SentenceParser(LightningArgumentParser):
     def error(self, message: str, ex: Exception | None = None) -> NoReturn:
         """Raise a UsageError that names an option in full, as it is typed."""
         sentence = " ".join(message.split()).rstrip(".")
+        sentence = sentence.rpartition(" failed: ")[2] if "compute_fn" in sentence else sentence
         end = r"(?:; \S+ \{fit| - Expected a <|$)"
         nested = re.search(rf'Parser key "([\w.]+)": (?:Does not.*? Errors: - )?(.*?){end}', sentence)
         if nested is not None:
@@ -182,8 +186,8 @@ class TrainCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
         parser.add_argument("--run_name", type=str | None, help="Name of the run in MLflow; null = the run folder's.")
-        for target, source in LINKS.items():
-            parser.link_arguments(source, target)
+        for source, target, default in LINKS:
+            parser.link_arguments((source, target), target, compute_fn=followed(source, target, default))
         features = "contact_features"
         parser.link_arguments(f"data.{features}", f"model.init_args.{features}", apply_on="instantiate")
 
@@ -212,6 +216,19 @@ class TrainCLI(LightningCLI):
         # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
         bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
         self.trainer_defaults = self.trainer_defaults | {"callbacks": [RunFiles(), *checkpoints, *bars]}
+
+
+def followed(source: str, target: str, default: Any) -> Callable[[Any, Any], Any]:
+    """Link of a setting to the one that it follows, which refuses another value of its own."""
+
+    def value(leading: Any, given: Any) -> Any:
+        plain = given.as_dict() if isinstance(given, Namespace) else given
+        if plain != default and given != leading:
+            names = (name.replace("init_args.", "") for name in (target, source))
+            raise ValueError("{} follows {}; give that one alone".format(*names))
+        return leading
+
+    return value
 
 
 def require_usable(config: Namespace, refused: dict[str, tuple[tuple, str]]) -> None:

@@ -26,7 +26,7 @@ from palpate.models.losses import LossWeights
 from palpate.models.onnx_export import export
 from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
-from palpate.models.step import TERMS, Pass, Step, precise
+from palpate.models.step import TERMS, Step, precise
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.physics.msd.batch import PairBatch
 
@@ -185,7 +185,8 @@ class PhysicsInformedGAN(LightningModule):
 
     def generator_losses(self, batch: PairBatch) -> tuple[dict[str, Tensor], Step]:
         """Unweighted terms of a batch by the names of their weights, scalars, and what they were computed from."""
-        step = self._step_on(batch, self._augmented(batch.a.window, 0), self._augmented(batch.b.window, 1))
+        windows = batch.a.window, batch.b.window
+        step = Step(self, batch, [self._augmented(window, direction) for direction, window in enumerate(windows)])
         return step.terms(self.weights), step
 
     def training_step(self, batch: PairBatch, batch_index: int) -> None:
@@ -212,7 +213,7 @@ class PhysicsInformedGAN(LightningModule):
 
         Squared displacements [scene units²] with head parameters, the negative evidence bound [nats] with posterior.
         """
-        step = self._step_on(batch)
+        step = Step(self, batch)
         self._validated += [TERMS["physics"](step)] * len(batch.clips)
         self._theta["val"].append(step.ab.answer.theta)
 
@@ -277,12 +278,6 @@ class PhysicsInformedGAN(LightningModule):
         if len(parts) > 1:
             torch.distributed.all_gather_object(parts, own)
         return parts
-
-    def _step_on(self, batch: PairBatch, window_a: Tensor | None = None, window_b: Tensor | None = None) -> Step:
-        """A step on a batch, or on windows that were changed; a head that is pretrained has learnt its bound."""
-        ab = Pass(self.generator_ab, batch.a, self.mechanics, window_a)
-        ba = Pass(self.generator_ba, batch.b, self.mechanics, window_b)
-        return Step(ab, ba, self.discriminator_a, self.discriminator_b, self.bounds, self.pretrained is None)
 
     def _judge(self, side: str, optimizer: LightningOptimizer, fake: Tensor, batch: PairBatch) -> Tensor:
         """Train the discriminator of a side by one step and return its loss, detached."""

@@ -4,19 +4,19 @@ A term is a function of a `Step`, registered under its own name, which is also t
 Those of one generator are added over both directions of time; the cycle, which both share, carries the paper's ½.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from palpate.models import losses
 from palpate.models.carried_depth import change, shifted
 from palpate.models.evidence import bound_loss
 from palpate.models.generator import Generator, HeadOutput
-from palpate.physics.mechanics import Bounds, Mechanics
-from palpate.physics.msd.batch import Direction
+from palpate.physics.mechanics import Mechanics
+from palpate.physics.msd.batch import Direction, PairBatch
 
 
 def precise(device: torch.device) -> torch.autocast:
@@ -110,18 +110,19 @@ class Pass:
         return evidence + (error - error.detach())  # adds its gradient, and nothing to the value
 
 
-@dataclass
 class Step:
-    """Both generators on one batch, and who judges them."""
+    """Both generators on one batch.
 
-    ab: Pass
-    ba: Pass
-    discriminator_a: nn.Module
-    discriminator_b: nn.Module
-    bounds: Bounds
-    """Admissible box of θ."""
-    learns_bound: bool
-    """As of `Pass.physics`."""
+    Args:
+        networks: the `PhysicsInformedGAN`.
+        batch: frames and contacts.
+        windows: the frames as the generators see them, forward and backward in time; None = as they are.
+    """
+
+    def __init__(self, networks: Any, batch: PairBatch, windows: Sequence[Tensor | None] = (None, None)) -> None:
+        self.networks = networks
+        self.ab = Pass(networks.generator_ab, batch.a, networks.mechanics, windows[0])
+        self.ba = Pass(networks.generator_ba, batch.b, networks.mechanics, windows[1])
 
     def terms(self, weights: losses.LossWeights) -> dict[str, Tensor]:
         """Unweighted terms by name, scalars; one of weight 0 is 0 and isn't computed."""
@@ -141,7 +142,7 @@ def term(function: Callable[[Step], Tensor]) -> Callable[[Step], Tensor]:
 
 @term
 def gan(step: Step) -> Tensor:
-    judged = step.discriminator_b(step.ab.fake), step.discriminator_a(step.ba.fake)
+    judged = step.networks.discriminator_b(step.ab.fake), step.networks.discriminator_a(step.ba.fake)
     return sum(losses.generator_adversarial_loss(scores) for scores in judged)
 
 
@@ -160,12 +161,13 @@ def identity(step: Step) -> Tensor:
 def physics(step: Step) -> Tensor:
     """L_physics in both directions of time (Bini 2026, figure 2)."""
     with precise(step.ab.real.device):
-        return step.ab.physics(step.learns_bound) + step.ba.physics(step.learns_bound)
+        learns_bound = step.networks.pretrained is None  # pretraining learnt the bound at better known θ
+        return step.ab.physics(learns_bound) + step.ba.physics(learns_bound)
 
 
 @term
 def regularisation(step: Step) -> Tensor:
-    return sum(losses.regularisation_loss(one.answer.theta, step.bounds) for one in (step.ab, step.ba))
+    return sum(losses.regularisation_loss(one.answer.theta, step.networks.bounds) for one in (step.ab, step.ba))
 
 
 def with_current(window: Tensor, frame: Tensor) -> Tensor:

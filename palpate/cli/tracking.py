@@ -76,17 +76,17 @@ class RunRecord(SaveConfigCallback):
     """Saves a run's configuration (in every checkpoint, too), and its data's digest."""
 
     def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        # Only rank 0 calls this.
+        """Log settings as parameters, and as configs/1_fit.yaml, configs/2_test.yaml, …; rank 0 alone calls this."""
         text, command = self.parser.dump(self.config), stage if stage == "export" else TrainerFn(stage).value
         settings = yaml.safe_load(text)
-        data = settings["data"]["init_args"]
+        data, run = settings["data"]["init_args"], {name: settings[name] for name in ("seed_everything", "trainer")}
         for logger in tracked(trainer):  # the model's settings are logged as its hyperparameters
             if command != "export":
-                seed = settings["seed_everything"]
-                logger.log_hyperparams({"seed_everything": seed, "trainer": settings["trainer"], "data": data})
+                logger.log_hyperparams(run | {"data": data})
                 if "root" in data:
                     log_data(logger, Path(data["root"]), command)
-            log_settings(logger, text, command)
+            number = len(logger.experiment.list_artifacts(logger.run_id, "configs")) + 1
+            logger.experiment.log_text(logger.run_id, text, f"configs/{number}_{command}.yaml")
 
     def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
         checkpoint["configuration"] = self.parser.dump(self.config)
@@ -133,12 +133,6 @@ def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> Non
     for logger in tracked(trainer):
         if trainer.is_global_zero:
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
-
-
-def log_settings(logger: MLFlowLogger, settings: str, command: str) -> None:
-    """Add a command's settings, as YAML, to the run's: configs/1_fit.yaml, configs/2_test.yaml, …"""
-    number = len(logger.experiment.list_artifacts(logger.run_id, "configs")) + 1
-    logger.experiment.log_text(logger.run_id, settings, f"configs/{number}_{command}.yaml")
 
 
 def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:

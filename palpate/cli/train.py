@@ -117,11 +117,7 @@ class RunTrainer(Trainer):
             raise UsageError(f"an option of trainer can't be used ({error}); correct it.") from error
 
     def export(
-        self,
-        model: LightningModule,
-        datamodule: LightningDataModule,
-        ckpt_path: str | None = None,
-        output: str = "parameters.onnx",
+        self, model: LightningModule, datamodule: Any, ckpt_path: str | None = None, output: str = "parameters.onnx"
     ) -> None:
         """Write the network of a checkpoint as one file, as `palpate infer` reads it.
 
@@ -131,8 +127,7 @@ class RunTrainer(Trainer):
             ckpt_path: checkpoint file, or best or last of the run folder.
             output: file to write.
         """
-        path = Path(str(ckpt_path))
-        checkpoint = read_checkpoint(path)
+        checkpoint = read_checkpoint(path := Path(str(ckpt_path)))
         require_same_weights(path, model, "export")
         model.load_state_dict(checkpoint["state_dict"])
         datamodule.load_state_dict(checkpoint.get(type(datamodule).__name__, {}))
@@ -209,8 +204,8 @@ class TrainCLI(LightningCLI):
             )
         if config.trainer.logger in (None, True):
             # A training that begins with another one's weights is a run of its own.
-            followed = config.ckpt_path if goes_on or command != "fit" else None
-            config.trainer.logger = loggers_of(root, config.tracking, config.run_name, followed, command)
+            path = config.ckpt_path if goes_on or command != "fit" else None
+            config.trainer.logger = loggers_of(root, config.tracking, config.run_name, path, command)
         always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
         checkpoints = [ModelCheckpoint(folder, **always, **when) for when in getattr(model, "CHECKPOINTS", CHECKPOINTS)]
         # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.

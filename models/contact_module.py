@@ -69,10 +69,11 @@ class AmortisedPosterior(LightningModule):
 
     def configure_optimizers(self) -> Any:
         """One AdamW a stage, whose rate rises and falls within it."""
+        trainer: Any = self.trainer
         rates = [self.hparams["rough_rate"], self.hparams["fine_rate"], self.hparams["fine_rate"]]
         networks = self.posterior, self.posterior, self.posterior.expected_bound
         optimizers, schedules = [], []
-        for network, rate, batches in zip(networks, rates, self.trainer.datamodule.stages, strict=True):
+        for network, rate, batches in zip(networks, rates, trainer.datamodule.stages, strict=True):
             steps = len(batches)
             optimizer = torch.optim.AdamW(network.parameters(), rate, weight_decay=self.hparams["weight_decay"])
             optimizers.append(optimizer)
@@ -83,13 +84,15 @@ class AmortisedPosterior(LightningModule):
     def training_step(self, batch: Any, index: int) -> None:
         """One step of the epoch's stage."""
         stage = self.current_epoch
-        optimizer, schedule = self.optimizers()[stage], self.lr_schedulers()[stage]
+        optimizers: Any = self.optimizers()
+        schedules: Any = self.lr_schedulers()
+        optimizer = optimizers[stage]
         loss = (rough_loss, fine_loss, expected_loss)[stage](self.posterior, batch)
         optimizer.zero_grad()
         self.manual_backward(loss)
         self.clip_gradients(optimizer, gradient_clip_val=1.0, gradient_clip_algorithm="norm")
         optimizer.step()
-        schedule.step()
+        schedules[stage].step()
         self.log(f"{STAGES[stage]}/loss", loss.detach(), prog_bar=True, batch_size=1)
 
     def export(self, output: Path, datamodule: Any, configuration: str = "") -> str:

@@ -6,6 +6,7 @@ Those of one generator are added over both directions of time; the cycle, which 
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from types import FunctionType
 from typing import Any
 
 import torch
@@ -134,7 +135,7 @@ TERMS: dict[str, Callable[[Step], Tensor]] = {}
 """Loss terms by the names of their weights."""
 
 
-def term(function: Callable[[Step], Tensor]) -> Callable[[Step], Tensor]:
+def term(function: FunctionType) -> FunctionType:
     """Register a loss term."""
     TERMS[function.__name__] = function
     return function
@@ -142,8 +143,8 @@ def term(function: Callable[[Step], Tensor]) -> Callable[[Step], Tensor]:
 
 @term
 def gan(step: Step) -> Tensor:
-    judged = step.networks.discriminator_b(step.ab.fake), step.networks.discriminator_a(step.ba.fake)
-    return sum(losses.generator_adversarial_loss(scores) for scores in judged)
+    forward, backward = step.networks.discriminator_b(step.ab.fake), step.networks.discriminator_a(step.ba.fake)
+    return losses.generator_adversarial_loss(forward) + losses.generator_adversarial_loss(backward)
 
 
 @term
@@ -154,7 +155,8 @@ def cycle(step: Step) -> Tensor:
 
 @term
 def identity(step: Step) -> Tensor:
-    return sum(losses.identity_loss(one.unchanged(), one.real) for one in (step.ab, step.ba))
+    ab, ba = step.ab, step.ba
+    return losses.identity_loss(ab.unchanged(), ab.real) + losses.identity_loss(ba.unchanged(), ba.real)
 
 
 @term
@@ -167,7 +169,8 @@ def physics(step: Step) -> Tensor:
 
 @term
 def regularisation(step: Step) -> Tensor:
-    return sum(losses.regularisation_loss(one.answer.theta, step.networks.bounds) for one in (step.ab, step.ba))
+    ab, ba = (losses.regularisation_loss(one.answer.theta, step.networks.bounds) for one in (step.ab, step.ba))
+    return ab + ba
 
 
 def with_current(window: Tensor, frame: Tensor) -> Tensor:

@@ -34,6 +34,7 @@ class ContactData(LightningDataModule):
     subclass among them gives the batches: `palpate.estimators.network.training.SimulatedContacts`.
     """
 
+    trainer: Any
     contact_features: int
     """Length of a contact's vector."""
     stages: Sequence[Batches]

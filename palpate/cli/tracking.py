@@ -59,7 +59,7 @@ class RunLogger(MLFlowLogger):
         _require_database(root / "mlflow.db")
         database = f"sqlite:///{root / 'mlflow.db'}"
         run_id = None if checkpoint is None else _run_of(checkpoint, database, run_name)
-        place = {"tracking_uri": database, "artifact_location": str(root / "mlflow"), "run_id": run_id}
+        place: dict[str, Any] = {"tracking_uri": database, "artifact_location": str(root / "mlflow"), "run_id": run_id}
         super().__init__(EXPERIMENT, run_name or folder.resolve().name, log_model="all", prefix=prefix, **place)
         self._goes_on = run_id is not None
 

@@ -84,10 +84,10 @@ class SentenceParser(LightningArgumentParser):
             raise UsageError(f"{cfg_path}: the section {unknown[0]} is not accepted; correct or remove it.")
         return super().parse_path(cfg_path, *arguments, **options)
 
-    def instantiate(self, cfg: Namespace, **options: Any) -> Any:
+    def instantiate(self, namespace: Any, *given: Any, **options: Any) -> Any:
         """Build what the settings describe; what a class's own check refuses is wrong use."""
         try:
-            return super().instantiate(cfg, **options)
+            return super().instantiate(namespace, *given, **options)
         except ValueError as error:
             while error.__cause__ is not None and str(error).startswith("Does not validate"):
                 error = error.__cause__
@@ -117,7 +117,7 @@ class RunTrainer(Trainer):
             raise UsageError(f"an option of trainer can't be used ({error}); correct it.") from error
 
     def export(
-        self, model: LightningModule, datamodule: Any, ckpt_path: str | None = None, output: str = "parameters.onnx"
+        self, model: Any, datamodule: Any, ckpt_path: str | None = None, output: str = "parameters.onnx"
     ) -> None:
         """Write the network of a checkpoint as one file, as `palpate infer` reads it.
 
@@ -132,7 +132,7 @@ class RunTrainer(Trainer):
         model.load_state_dict(checkpoint["state_dict"])
         datamodule.load_state_dict(checkpoint.get(type(datamodule).__name__, {}))
         print(model.export(Path(output), datamodule, checkpoint.get("configuration", "")))
-        for callback in self.callbacks:
+        for callback in self.callbacks:  # ty: ignore[missing-attribute]  set by Lightning
             if isinstance(callback, RunRecord):
                 callback.save_config(self, model, "export")
         log_artifact(self, Path(output), "network")
@@ -141,7 +141,7 @@ class RunTrainer(Trainer):
 class RunFiles(Callback):
     """Checks a checkpoint before it is followed, and writes the files of `fit` and `test` into the run folder."""
 
-    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+    def setup(self, trainer: Any, pl_module: Any, stage: str) -> None:
         if trainer.ckpt_path is not None:
             require_same_weights(Path(trainer.ckpt_path), pl_module, str(trainer.state.fn.value))
 
@@ -150,7 +150,7 @@ class RunFiles(Callback):
         if exported := getattr(pl_module, "EXPORTED", None):
             require_own(Path(trainer.default_root_dir) / exported)
 
-    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def on_fit_end(self, trainer: Any, pl_module: Any) -> None:
         if (exported := getattr(pl_module, "EXPORTED", None)) and trainer.is_global_zero:
             print(pl_module.export(Path(trainer.default_root_dir) / exported, trainer.datamodule))
 
@@ -158,7 +158,7 @@ class RunFiles(Callback):
         """Refuse before the test to replace a user's files by the evaluation's."""
         require_own(*(Path(trainer.default_root_dir, "evaluation", name) for name in FILES))
 
-    def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+    def teardown(self, trainer: Any, pl_module: Any, stage: str) -> None:
         """Write the paper's table 2 and figure 3, the collapse check and the baselines."""
         if not (stage == "test" and trainer.is_global_zero and isinstance(pl_module, PhysicsInformedGAN)):
             return

@@ -90,7 +90,7 @@ class SimulatedContacts(ContactData):
         steps = chosen.rough_steps, chosen.fine_steps, chosen.bound_steps
         self.stages = [Batches(*each) for each in zip((self.rough, self.fine, self.fine), steps, strict=True)]
         self.first, self.later = (np.random.default_rng([chosen.seed, part]) for part in (17, 19))
-        self.explanations: fits.Fits | None = None
+        self.explanations: Any = None
 
     @cached_property
     def made(self) -> list[Made]:

@@ -109,7 +109,7 @@ model: $(INSTALLED) $(MODEL)/posterior.pt
 	$(call calibrated,$(MODEL),$(MODEL)/contact.onnx,400,60,150,400,1201)
 
 $(MODEL)/posterior.pt: | $(INSTALLED)
-	$(BIN)/python train.py fit -c configs/contact.yaml --contact.output $(MODEL)
+	$(BIN)/python train.py fit -c configs/contact.yaml --trainer.default_root_dir $(MODEL) --ckpt_path last
 
 MASKS := runs/masks
 masks: $(INSTALLED)

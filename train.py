@@ -1,4 +1,4 @@
-"""Train, validate, test or export the parameter network: `palpate train` in a checkout."""
+"""Train, validate, test or export a network: `palpate train` in a checkout."""
 
 from palpate.common.doors import enter_door, run_door
 

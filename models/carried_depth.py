@@ -5,8 +5,7 @@ meshes are projected into the picture and rendered to depth; the map changes by 
 differentiable by θ. Only the surroundings of the contact are carried: farther away, hardly anything moves.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -48,21 +47,6 @@ def change(
     index = course.clamp(max=path.shape[1] - 1)[:, :, None, None].expand(-1, -1, *path.shape[2:])
     before, after = (surroundings.depth_change(moved) for moved in path.gather(1, index).to(theta).unbind(1))
     return surroundings.in_picture(after - before).to(device)
-
-
-def change_of(kind: str, theta: Tensor, batch: Mapping[str, Any], side: str, mechanics: Mechanics) -> Tensor | None:
-    """`change` from a map to the predicted one, for a decoder of this kind; None where it has no use for it.
-
-    Args:
-        kind: direct or physics.
-        theta, mechanics: as in `change`.
-        batch: a batch of the data module.
-        side: a for forward in time, b for backward.
-    """
-    if kind != "physics":
-        return None
-    meshes, loads, course = (batch[f"{name}_{side}"] for name in ("mesh", "load", "course"))
-    return change(theta, meshes, loads, course, mechanics)
 
 
 def shifted(depth: Tensor, by: Tensor | None) -> Tensor:

@@ -41,8 +41,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """
     checkpoint = _read(path, "train.py fit")
     kinds = {"hyper_parameters": dict, "state_dict": dict, "callbacks": dict, VERSION: str}
-    whole = all(isinstance(checkpoint.get(name), kind) for name, kind in kinds.items())
-    if not (whole and "bounds" in checkpoint["hyper_parameters"]):
+    if not all(isinstance(checkpoint.get(name), kind) for name, kind in kinds.items()):
         raise CheckpointError(f"{path} is a checkpoint of another program; give one that train.py fit wrote.")
     return checkpoint
 
@@ -85,7 +84,8 @@ def require_same_weights(path: Path, model: Any, command: str) -> None:
         raise CheckpointError(f"{problem} give the configuration it was trained with.")
     try:
         if command == "fit":
-            optimizers = model.configure_optimizers()
+            found = model.configure_optimizers()
+            optimizers = found[0] if isinstance(found, tuple) else found
             for optimizer, state in zip(optimizers, checkpoint["optimizer_states"], strict=True):
                 optimizer.load_state_dict(state)
         if command != "export":

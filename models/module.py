@@ -3,29 +3,32 @@
 Sensor noise on the windows that the networks see is optional, and off by default.
 """
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import torch
 from kornia.augmentation import RandomGaussianNoise
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
+from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from palpate.models import losses
-from palpate.models.carried_depth import change_of, shifted
 from palpate.models.checkpoint import load_posterior
 from palpate.models.discriminator import PatchDiscriminator
-from palpate.models.evidence import bound_loss
-from palpate.models.generator import Generator, HeadOutput
+from palpate.models.generator import Generator
 from palpate.models.losses import LossWeights
+from palpate.models.onnx_export import export
 from palpate.models.onnx_session import SHIPPED
 from palpate.models.records import pair_records
+from palpate.models.step import TERMS, Step, precise
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
+from palpate.physics.msd.batch import PairBatch
 
 UNTRAINED = "picture.weight", "picture.bias"
 """Parameters of a pretrained posterior that its file does not hold."""
@@ -36,11 +39,6 @@ Own = TypeVar("Own")
 
 class TrainingDiverged(ValueError):
     """A loss is no longer a finite number."""
-
-
-def with_current(window: Tensor, frame: Tensor) -> Tensor:
-    """Window [B, K, H, W] whose last (current) frame is replaced by [B, 1, H, W]."""
-    return torch.cat([window[:, :-1], frame], dim=1)
 
 
 class PhysicsInformedGAN(LightningModule):
@@ -72,6 +70,27 @@ class PhysicsInformedGAN(LightningModule):
         learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
     """
+
+    CHECKPOINTS: ClassVar[list[dict[str, Any]]] = [
+        {"filename": "best", "monitor": "val/physics", "save_on_train_epoch_end": True},
+        {"filename": "epoch_{epoch:03d}", "every_n_epochs": 10, "save_top_k": -1, "save_on_train_epoch_end": True},
+        {"filename": "last", "every_n_epochs": 1, "save_on_train_epoch_end": True},
+    ]
+    """Arguments of Lightning's ModelCheckpoint (Bini 2026, section 3.5). `save_last` would follow the best checkpoint
+    only, so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
+    REFUSED: ClassVar[dict[str, tuple[tuple, str]]] = {
+        "gradient_clip_val": ((None, 0), "three optimisers step by hand; lower model.learning_rate instead"),
+        "accumulate_grad_batches": ((1,), "three optimisers step by hand; raise data.loading.batch_size instead"),
+        "precision": (
+            (None, "32", 32, "32-true", "16", 16, "16-mixed", "bf16", "bf16-mixed"),
+            "rollouts are in 32 bits; give 32-true, or bf16-mixed, which has 16 bits in the convolutions alone",
+        ),
+        "strategy": (
+            ("auto", "ddp", "ddp_find_unused_parameters_true"),
+            "three optimisers step in turn, and files are written by the first process; give auto or ddp",
+        ),
+    }
+    """Values of the trainer's options that work, and why no other does."""
 
     def __init__(
         self,
@@ -123,6 +142,11 @@ class PhysicsInformedGAN(LightningModule):
         self._theta: dict[str, list[Tensor]] = {"train": [], "val": []}
         self._validated: list[Tensor] = []
 
+    def setup(self, stage: str) -> None:
+        """Let several processes look for parameters without gradient: a backward pass reaches a part of them only."""
+        if isinstance(self.trainer.strategy, DDPStrategy):
+            self.trainer.strategy._ddp_kwargs["find_unused_parameters"] = True
+
     def on_fit_start(self) -> None:
         """Load the pretrained head, unless training resumes from a checkpoint.
 
@@ -159,78 +183,43 @@ class PhysicsInformedGAN(LightningModule):
         groups = (generators, self.discriminator_a.parameters(), self.discriminator_b.parameters())
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
 
-    def generator_losses(self, batch: dict[str, Any]) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor] | None, Tensor]:
-        """The unweighted terms by the names of their weights, scalars, both fakes [B, 1, H, W] (none without term gan)
-        and θ_AB [B, 3] of a batch.
-        """
-        weights = self.weights
-        real_a, real_b = batch["window_a"][:, -1:], batch["window_b"][:, -1:]
-        window_a, window_b = self._augmented(batch["window_a"], 0), self._augmented(batch["window_b"], 1)
-        features_a, features_b = self.generator_ab.encode(window_a), self.generator_ba.encode(window_b)
-        ab = self._answer(self.generator_ab, features_a, batch, "a")
-        ba = self._answer(self.generator_ba, features_b, batch, "b")
-        terms, fakes = dict.fromkeys(vars(weights), real_a.new_zeros(())), None
-        if weights.gan or weights.cycle:
-            change_a, change_b = self._change(ab.theta, batch, "a"), self._change(ba.theta, batch, "b")
-            fake_b = self.generator_ab.decode(features_a, ab.theta, shifted(real_a, change_a))
-            fake_a = self.generator_ba.decode(features_b, ba.theta, shifted(real_b, change_b))
-            if weights.gan:
-                fakes = fake_a, fake_b
-                judged = self.discriminator_b(fake_b), self.discriminator_a(fake_a)
-                terms["gan"] = sum(losses.generator_adversarial_loss(scores) for scores in judged)
-            if weights.cycle:
-                # The fake takes the current frame's place among the *real* earlier frames of the other direction's
-                # window. The own window with the fake appended would show the cycle's target to the network that must
-                # find it.
-                start_b, start_a = shifted(fake_b, change_b), shifted(fake_a, change_a)
-                cycled_a = self.generator_ba.generate(with_current(window_b, fake_b), ba.theta, start_b)
-                cycled_b = self.generator_ab.generate(with_current(window_a, fake_a), ab.theta, start_a)
-                terms["cycle"] = losses.cycle_loss(cycled_a, real_a, cycled_b, real_b)
-        if weights.identity:
-            # Without a force the simulator leaves every map as it is.
-            unchanged_a = self.generator_ab.decode(features_a, losses.null_parameters(ab.theta), real_a)
-            unchanged_b = self.generator_ba.decode(features_b, losses.null_parameters(ba.theta), real_b)
-            pairs = (unchanged_a, real_a), (unchanged_b, real_b)
-            terms["identity"] = sum(losses.identity_loss(*pair) for pair in pairs)
-        if weights.physics:
-            terms["physics"] = self._physics(ab, ba, batch)
-        if weights.regularisation:
-            terms["regularisation"] = sum(losses.regularisation_loss(one.theta, self.bounds) for one in (ab, ba))
-        return terms, fakes, ab.theta
+    def generator_losses(self, batch: PairBatch) -> tuple[dict[str, Tensor], Step]:
+        """Unweighted terms of a batch by the names of their weights, scalars, and what they were computed from."""
+        windows = batch.a.window, batch.b.window
+        step = Step(self, batch, [self._augmented(window, direction) for direction, window in enumerate(windows)])
+        return step.terms(self.weights), step
 
-    def training_step(self, batch: dict[str, Any], batch_index: int) -> None:
+    def training_step(self, batch: PairBatch, batch_index: int) -> None:
         """One step of the generators, then one of each discriminator (Bini 2026, section 3.4.3)."""
         optimizer_g, *judging = self.optimizers()  # ty: ignore[not-iterable]  there are three
 
         self.toggle_optimizer(optimizer_g)  # freezes both discriminators
-        terms, fakes, theta = self.generator_losses(batch)
+        terms, step = self.generator_losses(batch)
         self._step(optimizer_g, losses.total(terms, self.weights), batch)
         self.untoggle_optimizer(optimizer_g)
 
         values = {name: value.detach() for name, value in terms.items()}
-        pairs = len(theta)
+        pairs = len(batch.clips)
         self.log_dict(values, prog_bar=True, logger=False, batch_size=pairs)
-        for side, optimizer, fake in zip("ab", judging, fakes or (), strict=False):
-            values[f"discriminator_{side}"] = self._judge(side, optimizer, fake, batch)
-        self._theta["train"].append(theta.detach())
+        if self.weights.gan:
+            for side, optimizer, fake in zip("ab", judging, (step.ba.fake, step.ab.fake), strict=True):
+                values[f"discriminator_{side}"] = self._judge(side, optimizer, fake, batch)
+        self._theta["train"].append(step.ab.answer.theta.detach())
         averages = {f"train/{name}": value for name, value in values.items()}
         self.log_dict(averages, on_step=False, on_epoch=True, batch_size=pairs, sync_dist=True)
 
-    def validation_step(self, batch: dict[str, Any], batch_index: int) -> None:
+    def validation_step(self, batch: PairBatch, batch_index: int) -> None:
         """L_physics in both directions, which chooses the best checkpoint (Bini 2026, section 3.5).
 
         Squared displacements [scene units²] with head parameters, the negative evidence bound [nats] with posterior.
         """
-        ab = self._answer(self.generator_ab, self.generator_ab.encode(batch["window_a"]), batch, "a")
-        ba = self._answer(self.generator_ba, self.generator_ba.encode(batch["window_b"]), batch, "b")
-        pairs = len(ab.theta)
-        physics = self._physics(ab, ba, batch)
-        self._validated += [physics] * pairs
-        self._theta["val"].append(ab.theta)
+        step = Step(self, batch)
+        self._validated += [TERMS["physics"](step)] * len(batch.clips)
+        self._theta["val"].append(step.ab.answer.theta)
 
-    def test_step(self, batch: dict[str, Any], batch_index: int) -> None:
+    def test_step(self, batch: PairBatch, batch_index: int) -> None:
         """Collect `test_records`."""
-        with self._precise():
+        with precise(self.device):
             self.test_records += pair_records(batch, self.generator_ab, self.mechanics)
 
     def on_train_epoch_end(self) -> None:
@@ -255,6 +244,24 @@ class PhysicsInformedGAN(LightningModule):
             mean = sum(record[name] for record in self.test_records) / len(self.test_records)
             self.log(f"test/{name}", mean, sync_dist=True)
 
+    def export(self, output: Path, datamodule: Any, configuration: str = "") -> str:
+        """Write encoder and parameter head as one ONNX file for infer.py.
+
+        Args:
+            output: file to write.
+            datamodule: preparation settings, which go into the file's metadata.
+            configuration: the training's, whose hash goes there.
+
+        Returns:
+            A sentence that names the file and the largest difference of its output from torch's.
+        """
+        metadata = {name: self.hparams[name] for name in ("bounds", "mechanics")} | datamodule.metadata()
+        metadata["config_sha256"] = hashlib.sha256(configuration.encode()).hexdigest()
+        geometry, generator = metadata["geometry"], self.generator_ab
+        size = {"window": generator.channels, "height": geometry["height"], "width": geometry["width"]}
+        difference = export(generator, output, metadata | {"input": size})
+        return f"{output}: written; largest difference from torch over batches of 1, 2 and 7 is {difference:.1e}"
+
     def _log_theta(self, stage: str) -> None:
         """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
         if not self._theta[stage]:
@@ -272,47 +279,9 @@ class PhysicsInformedGAN(LightningModule):
             torch.distributed.all_gather_object(parts, own)
         return parts
 
-    def _precise(self) -> torch.autocast:
-        """A context without a mixed precision's 16 bits: they overflow in a rollout, and shift φ visibly."""
-        return torch.autocast(self.device.type, enabled=False)
-
-    def _answer(self, generator: Generator, features: Tensor, batch: dict[str, Any], side: str) -> HeadOutput:
-        with self._precise():
-            return generator.answer(features.to(self.dtype), batch.get(f"contact_features_{side}"))
-
-    def _change(self, theta: Tensor, batch: dict[str, Any], side: str) -> Tensor | None:
-        with self._precise():
-            return change_of(self.generator_ab.decoder.kind, theta, batch, side, self.mechanics)
-
-    def _physics(self, ab: HeadOutput, ba: HeadOutput, batch: dict[str, Any]) -> Tensor:
-        """L_physics in both directions of time (Bini 2026, figure 2)."""
-        with self._precise():
-            forward = self._physics_of(self.generator_ab, ab, batch, "a")
-            return forward + self._physics_of(self.generator_ba, ba, batch, "b")
-
-    def _physics_of(self, generator: Generator, output: HeadOutput, batch: dict[str, Any], side: str) -> Tensor:
-        """The squared displacement error of a head's θ, or the negative evidence bound of its posterior.
-
-        The bound counts the frames up to the sample's own, since the posterior had no later ones as input. Unless the
-        head is pretrained, the expected bound behind the verdicts is learnt at the same time, from the information at
-        the mean: nothing better is known then, and how often such verdicts are right was not measured.
-        """
-        meshes = batch[f"mesh_{side}"]
-        if output.mean is None or output.factor is None:
-            loads, observation = batch[f"load_{side}"], batch[f"observation_{side}"]
-            return losses.physics_loss(output.theta, meshes, loads, observation, self.mechanics)
-        posterior, what = generator.posterior, (meshes, batch[f"known_load_{side}"], batch[f"dent_{side}"])
-        box = posterior.lower, posterior.upper
-        evidence, information = losses.posterior_physics_loss(output.mean, output.factor, *what, self.mechanics, box)
-        if self.pretrained is not None:  # pretraining learnt the bound at better known θ
-            return evidence
-        expected = posterior.expected_bound_factor(batch[f"contact_features_{side}"])
-        error = bound_loss(expected, information.cpu().numpy())
-        return evidence + (error - error.detach())  # adds its gradient, and nothing to the value
-
-    def _judge(self, side: str, optimizer: LightningOptimizer, fake: Tensor, batch: dict[str, Any]) -> Tensor:
+    def _judge(self, side: str, optimizer: LightningOptimizer, fake: Tensor, batch: PairBatch) -> Tensor:
         """Train the discriminator of a side by one step and return its loss, detached."""
-        discriminator, real = getattr(self, f"discriminator_{side}"), batch[f"window_{side}"][:, -1:]
+        discriminator, real = getattr(self, f"discriminator_{side}"), getattr(batch, side).window[:, -1:]
         self.toggle_optimizer(optimizer)
         loss = losses.discriminator_loss(discriminator(real), discriminator(fake.detach()))
         self._step(optimizer, loss, batch)
@@ -331,7 +300,7 @@ class PhysicsInformedGAN(LightningModule):
             torch.manual_seed((2 * step + direction) * 1009 + self.global_rank)
             return self.noise(window).clamp(0.0, 1.0) * (window > 0)
 
-    def _step(self, optimizer: LightningOptimizer, loss: Tensor, batch: dict[str, Any]) -> None:
+    def _step(self, optimizer: LightningOptimizer, loss: Tensor, batch: PairBatch) -> None:
         """One step down the loss.
 
         Raises:
@@ -341,7 +310,7 @@ class PhysicsInformedGAN(LightningModule):
         if not self.trainer.strategy.reduce_boolean_decision(finite):
             if finite:
                 raise TrainingDiverged("the loss of another process is not finite; it says where, and what to do.")
-            frames = [f"{clip} frame {int(frame)}" for clip, frame in zip(batch["clip"], batch["frame"], strict=True)]
+            frames = [f"{clip} frame {int(frame)}" for clip, frame in zip(batch.clips, batch.frames, strict=True)]
             raise TrainingDiverged(
                 f"the loss is {float(loss.detach())} in epoch {self.current_epoch} at {' and '.join(frames)}; lower "
                 "model.learning_rate or narrow model.bounds, and resume from the last checkpoint."

@@ -7,11 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from palpate.models.carried_depth import change_of, shifted
 from palpate.models.generator import Generator
 from palpate.models.losses import masked_l1
+from palpate.models.step import Pass
 from palpate.physics.mechanics import REFERENCE_DAMPING, REFERENCE_STIFFNESS, Mechanics
 from palpate.physics.msd import rollout
+from palpate.physics.msd.batch import PairBatch
 from palpate.physics.msd.likelihoods import displacement_error
 from palpate.physics.observation import Observation
 
@@ -28,7 +29,7 @@ def farthest_corner(theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechanics) -> list[dict[str, Any]]:
+def pair_records(batch: PairBatch, generator: Generator, mechanics: Mechanics) -> list[dict[str, Any]]:
     """One record for each pair of the batch, forward in time.
 
     Args:
@@ -44,25 +45,22 @@ def pair_records(batch: dict[str, Any], generator: Generator, mechanics: Mechani
         `copy_error` (mean |Δz| of G_AB's picture, and of D_t itself, against D_t+1, over pixels valid in both), and
         `theta_sensitivity` (mean |Δz| of the picture when θ moves to the box's farthest corner).
     """
-    window, now, later = batch["window_a"], batch["window_a"][:, -1:], batch["window_b"][:, -1:]
-    meshes, loads, observation = batch["mesh_a"], batch["load_a"], batch["observation_a"]
-    features = generator.encode(window)
-    theta = generator.answer(features, batch.get("contact_features_a")).theta
-    predicted, moved = (
-        generator.decode(features, value, shifted(now, change_of(generator.decoder.kind, value, batch, "a", mechanics)))
-        for value in (theta, farthest_corner(theta, generator.head.lower, generator.head.upper))
-    )
+    one = Pass(generator, batch.a, mechanics)
+    meshes, loads, observation = batch.a.meshes, batch.a.loads, batch.a.observation
+    now, later, theta = one.real, batch.b.window[:, -1:], one.answer.theta
+    corner = farthest_corner(theta, generator.head.lower, generator.head.upper)
+    predicted, moved = one.fake, one.next_map(corner, one.change_under(corner))
     trajectory = rollout(theta.cpu(), meshes, loads, mechanics)
     reference = rollout(with_reference_tissue(theta.cpu()), meshes, loads, mechanics)
     error, reference_error = (displacement_error(simulated, observation) for simulated in (trajectory, reference))
     records = []
-    for index, (clip, sheet, press) in enumerate(zip(batch["clip"], meshes, loads, strict=True)):
+    for index, (clip, sheet, press) in enumerate(zip(batch.clips, meshes, loads, strict=True)):
         target = later[index] * (now[index] > 0)
         kept = observation.weight[index] > 0
         times = (_numpy(observation.steps[index][kept]) + 1) * mechanics.time_step
         observed = _numpy(observation.displacement[index][kept])
         known = Observation.of_point(press.vertex, times, observed, math.nan)
-        found: dict[str, Any] = {"clip": clip, "frame": int(batch["frame"][index])}
+        found: dict[str, Any] = {"clip": clip, "frame": int(batch.frames[index])}
         found |= {"mesh": sheet, "load": press, "observation": known}
         arrays = {"theta": theta, "trajectory": trajectory, "reference_trajectory": reference}
         found |= {name: _numpy(values[index]) for name, values in arrays.items()}

@@ -36,14 +36,15 @@ public face alone, `cli` what a user types. `benchmarks` is not installed, and n
 FENCES = {
     "lightning": (
         "palpate/cli/train.py",
-        "palpate/cli/train_masks.py",
         "palpate/cli/tracking.py",
         "models/module.py",
+        "models/contact_module.py",
         "models/instruments/module.py",
+        "data/training/contacts.py",
         "data/training/datamodule.py",
         "data/training/instruments/datamodule.py",
     ),
-    "lightning.pytorch.loggers": ("palpate/cli/tracking.py", "palpate/cli/train_masks.py"),
+    "lightning.pytorch.loggers": ("palpate/cli/tracking.py",),
     "mlflow": ("palpate/cli/train.py", "palpate/cli/tracking.py"),
     "cv2": ("data/", "palpate/results/", "benchmarks/"),
     "matplotlib": (

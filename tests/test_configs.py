@@ -12,11 +12,11 @@ import pytest
 import yaml
 
 from palpate.cli import train
-from palpate.cli.train_masks import MasksCLI
 from palpate.estimators.network.training import ContactSettings
 from palpate.estimators.online.determined import BENDINGS
 from palpate.estimators.online.objective import PAPER
 from palpate.estimators.online.settings import OnlineSettings, load_settings
+from palpate.models.contact_module import AmortisedPosterior
 from palpate.physics.mechanics import Mechanics
 
 # Lightning warns of arguments given from Python beside pytest's own on the command line.
@@ -58,20 +58,20 @@ def test_the_online_estimator_s_file_holds_every_setting_with_its_default():
     assert leaves(values).keys() == leaves(dataclasses.asdict(settings)).keys()
 
 
-def test_the_posterior_s_configuration_holds_every_setting_with_its_default(monkeypatch):
-    chosen: list[Any] = []
-    monkeypatch.setattr(train, "train_contact", chosen.append)
-    assert train.main(["fit", "-c", str(CONTACT_FILE), "--contact.output", "elsewhere"]) == 0
-    assert chosen == [ContactSettings(Path("elsewhere"))]
+def test_the_posterior_s_configuration_holds_every_setting_with_its_default(load):
+    cli = load(CONTACT_FILE)
+    defaults = ContactSettings()
+    assert cli.datamodule.settings == defaults
+    assert dict(cli.model.hparams).items() >= dict(AmortisedPosterior(cli.datamodule.contact_features).hparams).items()
+    settings = yaml.safe_load(CONTACT_FILE.read_text(encoding="utf-8"))
+    assert settings["data"]["init_args"] == dataclasses.asdict(defaults)
+    assert settings["model"]["init_args"].keys() == {"rough_rate", "fine_rate", "weight_decay"}
 
 
-def test_the_masks_configuration_builds_its_own_model(monkeypatch, tmp_path):
-    built: list[MasksCLI] = []
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(MasksCLI, "_run_subcommand", lambda cli, subcommand: built.append(cli))
-    assert train.main(["fit", "-c", str(MASKS_FILE), "--trainer.accelerator", "cpu"]) == 0
-    assert type(built[0].model).__name__ == "InstrumentSegmentation"
-    assert built[0].trainer.default_root_dir == "runs/masks"
+def test_the_masks_configuration_builds_its_own_model(load):
+    cli = load(MASKS_FILE)
+    assert type(cli.model).__name__ == "InstrumentSegmentation"
+    assert cli.trainer.default_root_dir == "runs/masks"
 
 
 @pytest.mark.acceptance
@@ -79,13 +79,19 @@ def test_the_masks_configuration_trains_on_own_pictures_and_exports(tmp_path, ca
     cv2.imwrite(str(tmp_path / "one.png"), np.full((60, 90, 3), 90, np.uint8))
     cv2.imwrite(str(tmp_path / "one_tool.png"), np.tile(np.repeat(np.uint8([0, 255]), 45), (60, 1)))
     run = tmp_path / "run"
-    small = ["--data.batch_size=2", "--data.workers=0", "--data.validation=1", "--trainer.accelerator=cpu"]
+    small = [
+        "--tracking=false",
+        "--data.batch_size=2",
+        "--data.workers=0",
+        "--data.validation=1",
+        "--trainer.accelerator=cpu",
+    ]
     small += ["--trainer.val_check_interval=1", "--trainer.enable_progress_bar=false", f"--data.real={tmp_path}"]
     command = ["fit", "-c", str(MASKS_FILE), *small, f"--trainer.default_root_dir={run}"]
     assert train.main([*command, "--trainer.max_steps=1"]) == 0
     assert "written in 8-bit numbers, which decide" in capsys.readouterr().out
     assert (run / "instruments.onnx").is_file()
-    assert train.main([*command, "--trainer.max_steps=2"]) == 1
+    assert train.main([*command, "--trainer.max_steps=2"]) == 2
     assert "holds a training already; add --ckpt_path last" in capsys.readouterr().err
 
 
@@ -113,11 +119,12 @@ def test_paper_configuration_is_the_paper_s(load):
 
 
 def leaves(settings: dict[str, Any], above: str = "") -> dict[str, Any]:
-    """Values of nested mappings by their dotted names; `videos` is one value."""
+    """Values of nested mappings by their dotted names, as an option names them; `videos` is one value."""
     found: dict[str, Any] = {}
     for name, value in settings.items():
         nested = isinstance(value, dict) and name != "videos"
-        found |= leaves(value, f"{above}{name}.") if nested else {f"{above}{name}": value}
+        below = above if name == "init_args" else f"{above}{name}."
+        found |= leaves(value, below) if nested else {f"{above}{name}": value} if name != "class_path" else {}
     return found
 
 

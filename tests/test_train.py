@@ -53,11 +53,13 @@ def config(clips: Path) -> Path:
     """Configuration of a network that trains in seconds; the run folder is `run` beside it."""
     trainer = {"default_root_dir": str(clips.parent / "run"), "max_epochs": 1, "accelerator": "cpu", "devices": 1}
     trainer |= {"enable_progress_bar": False, "enable_model_summary": False}
-    model = {"width": 4, "residual_blocks": 1, "noise": 0.002}
-    model |= {"mechanics": {"steps": 40, "load_steps": 10}}
-    model |= {"bounds": {"force": [-0.3, 0.0], "initial": [0.5, 0.1, -0.05]}}
-    data = {"root": str(clips), "cache": str(clips.parent / "cache"), "geometry": {"height": 40, "width": 56}}
-    data |= {"samples": {"window": 6, "observation": "trajectory"}, "loading": {"fractions": [0.5, 0.25, 0.25]}}
+    network = {"width": 4, "residual_blocks": 1, "noise": 0.002}
+    network |= {"mechanics": {"steps": 40, "load_steps": 10}}
+    network |= {"bounds": {"force": [-0.3, 0.0], "initial": [0.5, 0.1, -0.05]}}
+    pairs = {"root": str(clips), "cache": str(clips.parent / "cache"), "geometry": {"height": 40, "width": 56}}
+    pairs |= {"samples": {"window": 6, "observation": "trajectory"}, "loading": {"fractions": [0.5, 0.25, 0.25]}}
+    model = {"class_path": "palpate.models.module.PhysicsInformedGAN", "init_args": network}
+    data = {"class_path": "palpate.data.training.datamodule.ClipDataModule", "init_args": pairs}
     settings = {"seed_everything": 0, "tracking": False, "trainer": trainer, "model": model, "data": data}
     path = clips.parent / "tiny.yaml"
     path.write_text(yaml.safe_dump(settings))
@@ -103,10 +105,10 @@ def until_saved(folder: Path) -> None:
 def test_fit_leaves_checkpoints_logs_and_configuration(trained: Path):
     checkpoint = last(trained)
     assert len(checkpoint["optimizer_states"]) == 3
-    assert yaml.safe_load(checkpoint["configuration"])["model"]["width"] == 4
+    assert yaml.safe_load(checkpoint["configuration"])["model"]["init_args"]["width"] == 4
     assert (trained / "checkpoints" / "best.ckpt").is_file()
     log = trained / "logs" / "version_0"
-    assert yaml.safe_load((log / "config.yaml").read_text())["data"]["samples"]["window"] == 6
+    assert yaml.safe_load((log / "config.yaml").read_text())["data"]["init_args"]["samples"]["window"] == 6
     header = (log / "metrics.csv").read_text().splitlines()[0].split(",")
     terms = {f"train/{term}" for term in TERMS}
     assert terms | {"val/physics", "val/force_mean", "train/stiffness_sd"} <= set(header)
@@ -273,6 +275,8 @@ def test_a_configuration_that_is_none_is_named(config, tmp_path, capsys, content
     ("option", "value", "expected"),
     [
         ("model.widht", 5, "--model.widht"),
+        ("model.window", 4, "model.window follows data.samples.window; give that one alone"),
+        ("data.bounds.force", "[-0.2, 0.0]", "data.bounds follows model.bounds; give that one alone"),
         ("data.depth.threads", 100_000, "depth.threads is 100000; give 0 to 1024"),
         ("data.loading.num_workers", 100_000, "num_workers is 100000; give 0 to 1024"),
         ("data.loading.batch_size", 100_000, "batch_size is 100000; give 1 to"),
@@ -542,7 +546,13 @@ def test_where_one_process_diverges_all_end_with_a_sentence(config: Path, tmp_pa
 @pytest.mark.parametrize("more", ["devices=2", "num_nodes=2", "strategy=ddp"])
 def test_several_processes_look_for_the_parameters_that_a_backward_pass_leaves_out(config, monkeypatch, tmp_path, more):
     built: list[Any] = []
-    monkeypatch.setattr(train.TrainCLI, "_run_subcommand", lambda cli, _: built.append(cli.trainer.strategy))
+
+    def build(cli: train.TrainCLI, _: str) -> None:
+        cli.model.trainer = cli.trainer
+        cli.model.setup("fit")
+        built.append(cli.trainer.strategy)
+
+    monkeypatch.setattr(train.TrainCLI, "_run_subcommand", build)
     arguments = ["fit", "-c", str(config), f"--trainer.{more}", f"--trainer.default_root_dir={tmp_path / 'run'}"]
     assert train.main(arguments) == 0
     assert built[0]._ddp_kwargs == {"find_unused_parameters": True}
@@ -645,14 +655,14 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
 
 def test_a_checkpoint_s_run_goes_on_where_the_database_has_it(trained: Path, config: Path, tmp_path: Path, monkeypatch):
     folder, checkpoint = tmp_path / "run", tmp_path / "other.ckpt"
-    first = tracking.run_loggers(folder, tracking=True)[1].run_id
+    first = tracking.RunLogger(folder).run_id
     client = MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
     assert client.get_run(first).info.run_name == "run"
     torch.save(last(trained) | {tracking.RUN_ID: first}, checkpoint)
-    assert tracking.run_loggers(folder, True, "renamed", checkpoint)[1].run_id == first
+    assert tracking.RunLogger(folder, "renamed", checkpoint).run_id == first
     assert client.get_run(first).info.run_name == "renamed"
     client.delete_run(first)
-    assert tracking.run_loggers(folder, True, None, checkpoint)[1].run_id != first
+    assert tracking.RunLogger(folder, None, checkpoint).run_id != first
 
     asked: list[tuple] = []
 
@@ -660,12 +670,12 @@ def test_a_checkpoint_s_run_goes_on_where_the_database_has_it(trained: Path, con
         asked.append(arguments)
         return []
 
-    monkeypatch.setattr(train, "run_loggers", loggers)
+    monkeypatch.setattr(train, "loggers_of", loggers)
     monkeypatch.setattr(train.TrainCLI, "_run_subcommand", lambda *_: None)
     for command in ("fit", "test"):  # a training that begins with another's weights is a run of its own
         assert train.main([command, "-c", str(config), "--ckpt_path", str(checkpoint), "--run_name", "mine"]) == 0
-    run = config.parent / "run"
-    assert asked == [(run, False, "mine", None, ""), (run, False, "mine", checkpoint, "")]
+    run = str(config.parent / "run")
+    assert asked == [(run, False, "mine", None, "fit"), (run, False, "mine", str(checkpoint), "test")]
 
 
 @pytest.mark.slow

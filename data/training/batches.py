@@ -14,9 +14,11 @@ from palpate.data.contact.sequence_features import dent_features, network_noise
 from palpate.data.training.samples import Sample, SampleSettings, make_sample
 from palpate.data.training.splits import Place
 from palpate.physics.depth import DepthLikelihood, DepthSequence, SequenceNoise
-from palpate.physics.load import Press
-from palpate.physics.msd.batch import ObservationBatch
+from palpate.physics.msd.batch import Direction, ObservationBatch, PairBatch
 from palpate.physics.patches import REACH, Patches
+
+PARTS = "window", "interaction", "course"
+"""Fields of a sample that it has for both directions of time."""
 
 
 class SampleDataset(Dataset):
@@ -33,45 +35,29 @@ class SampleDataset(Dataset):
         return make_sample(self.clips[clip], frame, self.settings)
 
 
-def collate(samples: Sequence[Sample]) -> dict[str, Any]:
-    """Join samples into a batch.
-
-    Args:
-        samples: what `SampleDataset` gives.
-
-    Returns:
-        `window_a`, `window_b` [B, K, h, w] float32; `mesh_a`, `mesh_b` B meshes; `load_a`, `load_b` B presses;
-        `observation_a`, `observation_b` ObservationBatch (padded with weight 0); `course_a`, `course_b` [B, 2] int64,
-        the rollout's steps at the window's last frame and at the predicted one; `clip` names; `frame` [B] int64.
-        For trajectories of clips whose noise is known, also what was known of the contact at frame t, equal on both
-        sides: `contact_features_a`, … [B, FEATURES + SEQUENCE_FEATURES] float32 (`data.contact.sequence_features`),
-        `known_load_a`, … B presses and `dent_a`, … B depth likelihoods.
-    """
-    batch: dict[str, Any] = {"clip": [sample.clip for sample in samples]}
-    batch["frame"] = torch.tensor([sample.frame for sample in samples])
+def collate(samples: Sequence[Sample]) -> PairBatch:
+    """Join samples of `SampleDataset` into a batch; what was not observed has weight 0."""
     known = [sample.known for sample in samples if sample.known is not None]
-    all_known = len(known) == len(samples)
     shared: dict[str, Any] = {}
-    if all_known:
+    if len(known) == len(samples):
         features = np.stack([dent_features(interaction, within=0.0) for interaction in known])
         shared["contact_features"] = torch.from_numpy(features)
-        shared |= {"known_load": [interaction.load for interaction in known], "dent": list(map(dent_of, known))}
-    for side in ("a", "b"):
-        interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
-        windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
-        batch[f"window_{side}"] = torch.from_numpy(windows)
-        batch[f"course_{side}"] = torch.tensor([getattr(sample, f"course_{side}") for sample in samples])
-        batch[f"mesh_{side}"] = [interaction.mesh for interaction in interactions]
-        batch[f"load_{side}"], batch[f"observation_{side}"] = _join(interactions)
-        batch |= {f"{name}_{side}": value for name, value in shared.items()}
-    return batch
+        shared |= {"known_loads": [interaction.load for interaction in known], "dents": list(map(dent_of, known))}
 
+    def direction(side: str) -> Direction:
+        windows, interactions, courses = ([getattr(each, f"{name}_{side}") for each in samples] for name in PARTS)
+        observations = [interaction.observation for interaction in interactions]
+        return Direction(
+            window=torch.from_numpy(np.stack(windows)),
+            course=torch.tensor(courses),
+            meshes=[interaction.mesh for interaction in interactions],
+            loads=[interaction.load for interaction in interactions],
+            observation=ObservationBatch.of(observations, interactions[0].time_step),
+            **shared,
+        )
 
-def _join(interactions: Sequence[Interaction]) -> tuple[list[Press], ObservationBatch]:
-    """Loads and observations of some interactions."""
-    observations = [interaction.observation for interaction in interactions]
-    loads = [interaction.load for interaction in interactions]
-    return loads, ObservationBatch.of(observations, interactions[0].time_step)
+    frames = torch.tensor([sample.frame for sample in samples])
+    return PairBatch([sample.clip for sample in samples], frames, direction("a"), direction("b"))
 
 
 def dent_of(contact: Interaction) -> DepthLikelihood:

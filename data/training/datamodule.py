@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from lightning.pytorch import LightningDataModule
 from lightning.pytorch.overrides.distributed import UnrepeatedDistributedSampler
 from lightning.pytorch.utilities import rank_zero_info, rank_zero_warn
@@ -15,7 +14,9 @@ from torch.utils.data.distributed import DistributedSampler
 
 from palpate.common.settings import fits
 from palpate.data.cache import PreparedClip
+from palpate.data.contact.features import FEATURES
 from palpate.data.contact.interaction import Interaction
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES
 from palpate.data.settings import NUMBERS, PREPROCESSING_VERSION, PrepareSettings
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from palpate.data.training.batches import SampleDataset, collate
@@ -26,9 +27,6 @@ from palpate.physics.mechanics import Bounds, require_stable
 
 TRAINED_ON = dict[Literal["depth", "masks"], tuple[str, ...]]
 """Type of a record of where depth and masks came from, for `fits`."""
-
-FOR_NETWORKS = "window", "contact_features"
-"""Beginnings of the names of the networks' inputs in a batch."""
 
 
 class ClipDataModule(LightningDataModule):
@@ -73,6 +71,12 @@ class ClipDataModule(LightningDataModule):
         """Frames that give no sample, by reason."""
         self.trained_on: dict[str, list[str]] | None = None
         """Where depth and masks of a checkpoint's training clips came from."""
+
+    @property
+    def contact_features(self) -> int:
+        """Length of the contact's vector in the batches; 0 without the motion or its noise."""
+        told = self.samples.observation == "trajectory" and self.preparation.geometry.smoothing > 0
+        return FEATURES + SEQUENCE_FEATURES if told else 0
 
     def prepare_data(self) -> None:
         """Prepare all clips into the cache; Lightning calls this in one process a node."""
@@ -126,12 +130,6 @@ class ClipDataModule(LightningDataModule):
     def test_dataloader(self) -> DataLoader:
         """Batches in order."""
         return self._loader("test", shuffle=False)
-
-    def transfer_batch_to_device(
-        self, batch: dict[str, Any], device: torch.device, dataloader_idx: int
-    ) -> dict[str, Any]:
-        """Move the networks' inputs to a device; the rest stays on the CPU, where rollouts are compiled."""
-        return batch | {name: values.to(device) for name, values in batch.items() if name.startswith(FOR_NETWORKS)}
 
     def interactions(self, split: str, limit: int | None = None) -> list[Interaction]:
         """Contacts of a split for the simulator, evenly spaced where there are more than `limit`."""

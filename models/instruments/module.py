@@ -3,7 +3,7 @@
 import math
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import onnx
@@ -51,6 +51,13 @@ class InstrumentSegmentation(LightningModule):
     Raises:
         CheckpointError: a file is missing, or holds other weights.
     """
+
+    CHECKPOINTS: ClassVar[list[dict[str, Any]]] = [{"every_n_train_steps": 200, "save_last": True, "save_top_k": 0}]
+    """Arguments of Lightning's ModelCheckpoint."""
+    EXPORTED: ClassVar[str] = "instruments.onnx"
+    """File that a training leaves in its run folder."""
+    TRAINED: ClassVar[str] = "weights"
+    """Setting that gives a trained network without a checkpoint."""
 
     def __init__(
         self,
@@ -110,20 +117,23 @@ class InstrumentSegmentation(LightningModule):
             return min((step + 1) / (0.02 * steps), 0.5 + 0.5 * math.cos(math.pi * min(step / steps, 1)))
 
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, share)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+        return [optimizer], [{"scheduler": schedule, "interval": "step"}]
 
-    def export(self, output: Path, pictures: Tensor) -> float:
+    def export(self, output: Path, datamodule: Any, configuration: str = "") -> str:
         """Write the averaged network in 8-bit numbers, and its weights beside it as `.pt`.
 
         Args:
-            pictures: some as it will see, shape [N, 3, H, W]: they set the range of each layer and the input's size.
+            output: file to write.
+            datamodule: its validation pictures set the range of each layer and the input's size.
+            configuration: not used.
 
         Returns:
-            Share of their pixels that the file decides otherwise than torch.
+            A sentence that names the file and the share of these pictures' pixels that it decides otherwise than torch.
 
         Raises:
             ForeignFile, ParityError: as of `models.onnx_export.export`.
         """
+        pictures = torch.cat([batch[0] for batch in datamodule.val_dataloader()])
         network = self.averaged.module.cpu().eval()
         model = quantised(to_onnx(network, {"picture": pictures[:1].repeat(2, 1, 1, 1)}, ["logits"]), pictures)
 
@@ -136,7 +146,7 @@ class InstrumentSegmentation(LightningModule):
 
         difference = write(model, {"kind": "instruments"}, output, difference_of, MOST_CHANGED)
         torch.save({name: weights.half() for name, weights in network.state_dict().items()}, output.with_suffix(".pt"))
-        return difference
+        return f"{output}: written in 8-bit numbers, which decide {difference:.1%} of pixels otherwise"
 
 
 class _Pictures(CalibrationDataReader):

@@ -2,8 +2,7 @@
 
 infer        video → estimates
 live         camera, stream or pipe → a line of JSON a frame
-train        fit, validate, test or export the parameter network, from one configuration file
-train_masks  trains the network that outlines instruments
+train        fit, validate, test or export a network, from one configuration file
 tracking     the MLflow run of a training
 calibrate    measured forces → material constants
 page         results → pages for a browser

@@ -16,10 +16,14 @@ os.environ.setdefault("DO_NOT_TRACK", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
 
-from lightning.pytorch import Trainer
-from lightning.pytorch.loggers import CSVLogger, MLFlowLogger
+import yaml
+from lightning.pytorch import LightningModule, Trainer
+from lightning.pytorch.cli import SaveConfigCallback
+from lightning.pytorch.loggers import MLFlowLogger
+from lightning.pytorch.trainer.states import TrainerFn
 from lightning.pytorch.utilities import rank_zero_only
 
+from palpate.common.doors import by_interrupt
 from palpate.common.files import as_json
 from palpate.data.source.layout import InputError
 from palpate.models.checkpoint import read_checkpoint
@@ -34,10 +38,29 @@ LOCK_TIMEOUT_S = 5.0
 
 
 class RunLogger(MLFlowLogger):
-    """Lightning's logger, for a run that may go on: MLflow never changes parameters, so such a run keeps its first."""
+    """Lightning's logger, for a run that may go on: MLflow never changes parameters, so such a run keeps its first.
 
-    def __init__(self, name: str, run_id: str | None, **options: Any) -> None:
-        super().__init__(EXPERIMENT, name, run_id=run_id, log_model="all", **options)
+    Args:
+        folder: the run folder; the database lies in the folder above.
+        run_name: the run's in MLflow; none = the folder's, or as it is.
+        checkpoint: goes on with the run of this one, where the database has it.
+        prefix: of its metrics' names in MLflow.
+
+    Raises:
+        InputError: the database can't be used.
+        CheckpointError: the checkpoint can't be read.
+    """
+
+    def __init__(
+        self, folder: Path, run_name: str | None = None, checkpoint: Path | None = None, prefix: str = ""
+    ) -> None:
+        root = folder.resolve().parent
+        root.mkdir(parents=True, exist_ok=True)
+        _require_database(root / "mlflow.db")
+        database = f"sqlite:///{root / 'mlflow.db'}"
+        run_id = None if checkpoint is None else _run_of(checkpoint, database, run_name)
+        place: dict[str, Any] = {"tracking_uri": database, "artifact_location": str(root / "mlflow"), "run_id": run_id}
+        super().__init__(EXPERIMENT, run_name or folder.resolve().name, log_model="all", prefix=prefix, **place)
         self._goes_on = run_id is not None
 
     @rank_zero_only
@@ -49,32 +72,42 @@ class RunLogger(MLFlowLogger):
             super().log_hyperparams(params)
 
 
-def run_loggers(
-    folder: Path, tracking: bool, name: str | None = None, checkpoint: Path | None = None, prefix: str = ""
-) -> list[CSVLogger | MLFlowLogger]:
-    """A CSV logger in the run folder, where config.yaml goes as well, then MLflow in the folder above.
+class RunRecord(SaveConfigCallback):
+    """Saves a run's configuration (in every checkpoint, too), and its data's digest."""
 
-    Args:
-        folder: the run folder.
-        tracking: whether there is MLflow.
-        name: the run's in MLflow; none = the folder's, or as it is.
-        checkpoint: goes on with the run of this one, where the database has it.
-        prefix: of its metrics' names in MLflow.
+    def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        """Log settings as parameters, and as configs/1_fit.yaml, configs/2_test.yaml, …; rank 0 alone calls this."""
+        text, command = self.parser.dump(self.config), stage if stage == "export" else TrainerFn(stage).value
+        settings = yaml.safe_load(text)
+        data, run = settings["data"]["init_args"], {name: settings[name] for name in ("seed_everything", "trainer")}
+        for logger in tracked(trainer):  # the model's settings are logged as its hyperparameters
+            if command != "export":
+                logger.log_hyperparams(run | {"data": data})
+                if "root" in data:
+                    log_data(logger, Path(data["root"]), command)
+            number = len(logger.experiment.list_artifacts(logger.run_id, "configs")) + 1
+            logger.experiment.log_text(logger.run_id, text, f"configs/{number}_{command}.yaml")
 
-    Raises:
-        InputError: the database can't be used.
-        CheckpointError: the checkpoint can't be read.
-    """
-    loggers: list[CSVLogger | MLFlowLogger] = [CSVLogger(folder, name="logs")]
-    if tracking:
-        root = folder.resolve().parent
-        root.mkdir(parents=True, exist_ok=True)
-        _require_database(root / "mlflow.db")
-        database = f"sqlite:///{root / 'mlflow.db'}"
-        run_id = None if checkpoint is None else _run_of(checkpoint, database, name)
-        place = {"tracking_uri": database, "artifact_location": str(root / "mlflow")}
-        loggers.append(RunLogger(name or folder.resolve().name, run_id, prefix=prefix, **place))
-    return loggers
+    def on_save_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint["configuration"] = self.parser.dump(self.config)
+        for logger in tracked(trainer):
+            checkpoint[RUN_ID] = logger.run_id
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        if by_interrupt(exception) and trainer.state.fn == "fit":
+            print("Interrupted. Add --ckpt_path last to the same command to go on after the last finished epoch.")
+
+
+def loggers_of(
+    folder: str, tracking: bool, name: str | None, checkpoint: str | None, command: str
+) -> list[dict[str, Any]]:
+    """Settings of the loggers: CSV in the run folder, where config.yaml goes, too, then MLflow (see `RunLogger`)."""
+    csv = {"class_path": "lightning.pytorch.loggers.CSVLogger", "init_args": {"save_dir": folder, "name": "logs"}}
+    # What `validate` finds has no step, and would stand among the epochs of the training.
+    prefix = "validate" if command == "validate" else ""
+    run = {"folder": folder, "run_name": name, "checkpoint": checkpoint, "prefix": prefix}
+    mlflow = {"class_path": f"{__name__}.{RunLogger.__name__}", "init_args": run}
+    return [csv, mlflow] if tracking else [csv]
 
 
 def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:
@@ -100,12 +133,6 @@ def log_artifact(trainer: Trainer, path: Path, folder: str | None = None) -> Non
     for logger in tracked(trainer):
         if trainer.is_global_zero:
             logger.experiment.log_artifact(logger.run_id, str(path), folder)
-
-
-def log_settings(logger: MLFlowLogger, settings: str, command: str) -> None:
-    """Add a command's settings, as YAML, to the run's: configs/1_fit.yaml, configs/2_test.yaml, …"""
-    number = len(logger.experiment.list_artifacts(logger.run_id, "configs")) + 1
-    logger.experiment.log_text(logger.run_id, settings, f"configs/{number}_{command}.yaml")
 
 
 def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:

@@ -1,7 +1,7 @@
 """Observations of a batch, joined into tensors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -9,6 +9,9 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from palpate.physics.depth import DepthLikelihood
+from palpate.physics.load import Press
+from palpate.physics.mesh import Mesh
 from palpate.physics.observation import Observation
 
 
@@ -31,3 +34,48 @@ class ObservationBatch:
         moved = [torch.from_numpy(item.displacement.squeeze(0).astype(np.float32)) for item in observations]
         weight = [points.isfinite().all(dim=1).float() for points in moved]
         return cls(*(pad_sequence(values, batch_first=True) for values in (steps, moved, weight)))
+
+
+@dataclass
+class Direction:
+    """Frames of B pairs in one direction of time, and the contacts that the simulator replays."""
+
+    window: Tensor
+    """Depth maps, the current frame last, shape [B, K, h, w], float32."""
+    course: Tensor
+    """Steps of the rollout at the current frame and at the predicted one, shape [B, 2], int64."""
+    meshes: Sequence[Mesh]
+    """Tissue at rest, B of them."""
+    loads: Sequence[Press]
+    """Presses, B of them."""
+    observation: ObservationBatch
+    """Observed displacements of the contacts."""
+    contact_features: Tensor | None = None
+    """Contacts as known at the current frame, shape [B, features], float32; None without trajectory or noise."""
+    known_loads: Sequence[Press] = ()
+    """Presses as far as known at the current frame; empty where `contact_features` is None."""
+    dents: Sequence[DepthLikelihood] = ()
+    """Depth changes up to the current frame; empty where `contact_features` is None."""
+
+    def to(self, device: torch.device) -> Self:
+        """The networks' inputs on a device; the rest stays on the CPU, where rollouts are compiled."""
+        features = None if self.contact_features is None else self.contact_features.to(device)
+        return replace(self, window=self.window.to(device), contact_features=features)
+
+
+@dataclass
+class PairBatch:
+    """B pairs of frames t, t + horizon."""
+
+    clips: Sequence[str]
+    """Names of the clips."""
+    frames: Tensor
+    """Indices of t, shape [B], int64."""
+    a: Direction
+    """Forward in time, from t."""
+    b: Direction
+    """Backward in time, from t + horizon; what is known of the contact is equal on both sides."""
+
+    def to(self, device: torch.device) -> Self:
+        """The networks' inputs on a device."""
+        return replace(self, a=self.a.to(device), b=self.b.to(device))

@@ -1,14 +1,13 @@
 """A small batch made by hand: two pairs of curved depth maps with their meshes, contacts and observed displacements."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from palpate.physics import Mechanics, Press, contact_normal, grid_mesh, held
-from palpate.physics.msd.batch import ObservationBatch
+from palpate.physics.msd.batch import Direction, ObservationBatch, PairBatch
 from palpate.physics.observation import Linearised
 
 HEIGHT, WIDTH = 40, 48
@@ -29,33 +28,25 @@ def _mesh(depth: np.ndarray):
 
 
 @pytest.fixture(scope="session")
-def make_batch() -> Callable[..., dict[str, Any]]:
-    """`make_batch(window=1)`: a batch of two pairs in the data module's form; pixel (0, 0) is invalid everywhere."""
+def make_batch() -> Callable[..., PairBatch]:
+    """`make_batch(window=1)`: a batch of two pairs as the data module makes it; pixel (0, 0) is invalid everywhere."""
 
-    def build(window: int = 1) -> dict[str, Any]:
+    def direction(window: torch.Tensor, sign: float) -> Direction:
+        meshes = [_mesh(depth) for depth in window[:, -1].numpy()]
+        vertices = [len(mesh.vertices) // 2 for mesh in meshes]
+        normals = [contact_normal(mesh, vertex) for mesh, vertex in zip(meshes, vertices, strict=True)]
+        factor = held(MECHANICS.load_steps, MECHANICS.steps)
+        loads = [Press.at(vertex, normal, factor) for vertex, normal in zip(vertices, normals, strict=True)]
+        moved = sign * torch.tensor([[[0.0, 0.0, 0.02]]]).expand(2, 1, 3)
+        observation = ObservationBatch(torch.full((2, 1), 7), moved, torch.ones(2, 1))
+        return Direction(window, torch.tensor([[0, 8], [0, 8]]), meshes, loads, observation)
+
+    def build(window: int = 1) -> PairBatch:
         bumps = [[0.02 * pair + 0.01 * frame for frame in range(-window + 1, window + 1)] for pair in (1, 2)]
         frames = torch.from_numpy(np.stack([[_depth(bump) for bump in pair] for pair in bumps]))
         frames[..., 0, 0] = 0.0
-        batch: dict[str, Any] = {
-            "window_a": frames[:, :window],
-            "window_b": frames[:, window:].flip(1),
-            "clip": ["one", "two"],
-            "frame": torch.tensor([3, 7]),
-        }
-        for side, sign in (("a", 1.0), ("b", -1.0)):
-            meshes = [_mesh(depth) for depth in batch[f"window_{side}"][:, -1].numpy()]
-            vertices = [len(mesh.vertices) // 2 for mesh in meshes]
-            normals = [contact_normal(mesh, vertex) for mesh, vertex in zip(meshes, vertices, strict=True)]
-            batch[f"mesh_{side}"] = meshes
-            factor = held(MECHANICS.load_steps, MECHANICS.steps)
-            batch[f"load_{side}"] = [
-                Press.at(vertex, normal, factor) for vertex, normal in zip(vertices, normals, strict=True)
-            ]
-            batch[f"course_{side}"] = torch.tensor([[0, 8], [0, 8]])
-            batch[f"observation_{side}"] = ObservationBatch(
-                torch.full((2, 1), 7), sign * torch.tensor([[[0.0, 0.0, 0.02]]]).expand(2, 1, 3), torch.ones(2, 1)
-            )
-        return batch
+        both = direction(frames[:, :window], 1.0), direction(frames[:, window:].flip(1), -1.0)
+        return PairBatch(["one", "two"], torch.tensor([3, 7]), *both)
 
     return build
 
@@ -75,20 +66,18 @@ class OnePixel:
 
 
 @pytest.fixture(scope="session")
-def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
+def make_told_batch(make_batch) -> Callable[..., PairBatch]:
     """`make_told_batch(window=1)`: the same with what was known of the contacts, for head posterior."""
 
-    def build(window: int = 1) -> dict[str, Any]:
+    def build(window: int = 1) -> PairBatch:
         batch = make_batch(window)
         vectors = torch.from_numpy(np.random.default_rng(4).normal(size=(2, CONTACT_FEATURES))).float()
-        for side in ("a", "b"):
-            batch[f"mesh_{side}"], batch[f"load_{side}"] = batch["mesh_a"], batch["load_a"]
-            batch[f"observation_{side}"] = batch["observation_a"]
-            batch[f"known_load_{side}"] = batch["load_a"]
-            batch[f"contact_features_{side}"] = vectors
-            batch[f"dent_{side}"] = [
+        for one in (batch.a, batch.b):
+            one.meshes, one.loads, one.observation = batch.a.meshes, batch.a.loads, batch.a.observation
+            one.known_loads, one.contact_features = batch.a.loads, vectors
+            one.dents = [
                 OnePixel(load.vertex, times, 0.01 * (index + 1), 1e-3 * (index + 1))
-                for index, (load, times) in enumerate(zip(batch["load_a"], ([0.02, 0.04], [0.02]), strict=True))
+                for index, (load, times) in enumerate(zip(batch.a.loads, ([0.02, 0.04], [0.02]), strict=True))
             ]
         return batch
 

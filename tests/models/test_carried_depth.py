@@ -11,7 +11,9 @@ from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.estimators.contract import ClipInfo
-from palpate.models.carried_depth import change, change_of, shifted
+from palpate.models.carried_depth import change, shifted
+from palpate.models.generator import Generator
+from palpate.models.step import Pass
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
@@ -19,11 +21,12 @@ from palpate.physics.msd import rollout
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 SECOND = Mechanics(scheme="dkd")
+KINDS = "direct", "physics"
 THETA = torch.tensor([[0.4, 0.05, -0.05], [0.3, 0.08, -0.08]])
 
 
 def parts(batch) -> tuple[list[Mesh], list[Press]]:
-    return batch["mesh_a"], batch["load_a"]
+    return batch.a.meshes, batch.a.loads
 
 
 def carried(depth: torch.Tensor, theta: torch.Tensor, *rest) -> torch.Tensor:
@@ -36,7 +39,7 @@ def course(*steps: int) -> torch.Tensor:
 
 def test_nothing_moves_without_a_force_or_without_time(make_batch) -> None:
     batch = make_batch()
-    depth = batch["window_a"][:, -1:]
+    depth = batch.a.window[:, -1:]
     still = carried(depth, THETA * torch.tensor([1.0, 1.0, 0.0]), *parts(batch), course(0, 8), MECHANICS)
     torch.testing.assert_close(still, depth)
     same = carried(depth, THETA, *parts(batch), course(5, 5), MECHANICS)
@@ -45,7 +48,7 @@ def test_nothing_moves_without_a_force_or_without_time(make_batch) -> None:
 
 def test_there_and_back_is_where_it_was(make_batch) -> None:
     batch = make_batch()
-    depth = batch["window_a"][:, -1:]
+    depth = batch.a.window[:, -1:]
     there = carried(depth, THETA, *parts(batch), course(2, 8), MECHANICS)
     assert (there - depth).abs().max() > 0.002
     torch.testing.assert_close(carried(there, THETA, *parts(batch), course(8, 2), MECHANICS), depth, atol=1e-6, rtol=0)
@@ -54,7 +57,7 @@ def test_there_and_back_is_where_it_was(make_batch) -> None:
 
 def test_steps_beyond_the_rollout_are_its_last_one(make_batch) -> None:
     batch = make_batch()
-    depth = batch["window_a"][:, -1:]
+    depth = batch.a.window[:, -1:]
     last, beyond = (carried(depth, THETA, *parts(batch), course(0, end), MECHANICS) for end in (24, 90))
     torch.testing.assert_close(last, beyond)
 
@@ -62,7 +65,7 @@ def test_steps_beyond_the_rollout_are_its_last_one(make_batch) -> None:
 def test_a_motion_along_the_line_of_sight_is_the_change_of_the_depth(make_batch) -> None:
     """Of the pressed vertex, which lies on the optical axis: hardly anything shifts it sideways in its pixel."""
     batch = make_batch()
-    depth, (mesh, load) = batch["window_a"][:, -1:], parts(batch)
+    depth, (mesh, load) = batch.a.window[:, -1:], parts(batch)
     load = [dataclasses.replace(press, direction=np.array([0.0, 0.0, -1.0])) for press in load]
     moved = rollout(THETA, mesh, load, MECHANICS)[:, 7]
     after = carried(depth, THETA, mesh, load, course(0, 8), MECHANICS)
@@ -74,7 +77,7 @@ def test_a_motion_along_the_line_of_sight_is_the_change_of_the_depth(make_batch)
 
 def test_gradient_by_theta_is_that_of_differences(make_batch) -> None:
     batch = make_batch()
-    depth, theta = batch["window_a"][:, -1:].double(), THETA.double().requires_grad_()
+    depth, theta = batch.a.window[:, -1:].double(), THETA.double().requires_grad_()
     weights = torch.from_numpy(np.random.default_rng(0).normal(size=depth.shape))
 
     def value(theta: torch.Tensor) -> torch.Tensor:
@@ -116,9 +119,10 @@ def test_the_true_theta_makes_the_renderers_next_picture(seed: int) -> None:
 
 
 def test_only_decoder_physics_starts_from_a_carried_map(make_batch) -> None:
-    batch = make_batch() | {"course_a": course(2, 8), "course_b": course(8, 2)}
-    depth = batch["window_a"][:, -1:]
-    assert change_of("direct", THETA, batch, "a", MECHANICS) is None
-    assert shifted(depth, None) is depth
-    onward = shifted(depth, change_of("physics", THETA, batch, "a", MECHANICS))
-    torch.testing.assert_close(onward, carried(depth, THETA, *parts(batch), course(2, 8), MECHANICS))
+    batch = make_batch()
+    batch.a.course = course(2, 8)
+    direct, physics = (Pass(Generator(width=4, residual_blocks=1, decoder=kind), batch.a, MECHANICS) for kind in KINDS)
+    assert direct.change_under(THETA) is None
+    assert shifted(direct.real, None) is direct.real
+    onward = shifted(physics.real, physics.change_under(THETA))
+    torch.testing.assert_close(onward, carried(physics.real, THETA, *parts(batch), course(2, 8), MECHANICS))

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TypeVar
 
 import pytest
@@ -12,11 +12,12 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 
-from palpate.data.training.datamodule import ClipDataModule
+from palpate.models import step
 from palpate.models.checkpoint import load_posterior
 from palpate.models.losses import total
 from palpate.models.module import PhysicsInformedGAN
 from palpate.models.posterior import ContactPosterior
+from palpate.physics.msd.batch import PairBatch
 from tests.models.test_module import POSTERIOR, build
 
 Module = TypeVar("Module", bound=nn.Module)
@@ -106,12 +107,16 @@ def test_a_pretrained_head_is_loaded_where_it_is(tmp_path):
         assert torch.equal(moved.state_dict()[name].values, values)
 
 
-def _losses(module: PhysicsInformedGAN, batch: dict) -> dict[str, Tensor]:
+def _losses(module: PhysicsInformedGAN, batch: PairBatch) -> dict[str, Tensor]:
     """All terms, and the gradient of each parameter of the first generator."""
-    terms, _, theta = module.generator_losses(batch)
+    terms, found = module.generator_losses(batch)
     total(terms, module.weights).backward()
     gradients = {name: values.grad for name, values in module.generator_ab.named_parameters()}
-    return terms | {"theta": theta} | {name: values for name, values in gradients.items() if values is not None}
+    return (
+        terms
+        | {"theta": found.ab.answer.theta}
+        | {name: values for name, values in gradients.items() if values is not None}
+    )
 
 
 @pytest.mark.parametrize(
@@ -122,7 +127,8 @@ def _losses(module: PhysicsInformedGAN, batch: dict) -> dict[str, Tensor]:
         POSTERIOR | {"decoder": "physics"},
     ],
 )
-def test_meshes_stay_on_the_cpu_while_networks_are_elsewhere(make_batch, make_told_batch, settings):
+def test_meshes_stay_on_the_cpu_while_networks_are_elsewhere(make_batch, make_told_batch, settings, monkeypatch):
+    monkeypatch.setattr(step, "precise", lambda _: nullcontext())  # this device has no mixed precision
     batch = make_told_batch() if "head" in settings else make_batch()
     module = build(**settings)
     for generator in (module.generator_ab, module.generator_ba):  # no map is left as it is: |0| has no slope
@@ -130,7 +136,7 @@ def test_meshes_stay_on_the_cpu_while_networks_are_elsewhere(make_batch, make_to
     wanted = _losses(copy.deepcopy(module), batch)
     with two_devices():
         moved = _moved(module)
-        found = _losses(moved, ClipDataModule.transfer_batch_to_device(moved, batch, ELSEWHERE, 0))
+        found = _losses(moved, batch.to(ELSEWHERE))
     assert found.keys() == wanted.keys()
     assert all(isinstance(values, Elsewhere) for values in found.values())
     for name, values in wanted.items():

@@ -43,9 +43,9 @@ def test_cycle_is_half_of_both_directions_and_identity_has_null_parameters():
 def test_physics_is_the_squared_distance_at_the_observed_step(make_batch):
     batch = make_batch()
     theta = torch.tensor([[0.5, 0.05, -0.02], [0.3, 0.1, -0.05]])
-    trajectory = rollout(theta, batch["mesh_a"], batch["load_a"], MECHANICS)
+    trajectory = rollout(theta, batch.a.meshes, batch.a.loads, MECHANICS)
     expected = sum(float(((trajectory[i, 7] - torch.tensor([0, 0, 0.02])) ** 2).sum()) for i in range(2)) / 2
-    value = losses.physics_loss(theta, batch["mesh_a"], batch["load_a"], batch["observation_a"], MECHANICS)
+    value = losses.physics_loss(theta, batch.a.meshes, batch.a.loads, batch.a.observation, MECHANICS)
     assert value.item() == pytest.approx(expected, rel=1e-5)
     assert expected > 0
 

@@ -10,9 +10,11 @@ from torch.utils.data import DataLoader
 from palpate.models.carried_depth import change, shifted
 from palpate.models.evidence import bound_loss
 from palpate.models.losses import LossWeights, posterior_physics_loss, total
-from palpate.models.module import PhysicsInformedGAN, TrainingDiverged, with_current
+from palpate.models.module import PhysicsInformedGAN, TrainingDiverged
 from palpate.models.posterior import ContactPosterior
+from palpate.models.step import with_current
 from palpate.physics.mechanics import Bounds, Mechanics
+from palpate.physics.msd.batch import PairBatch
 
 MECHANICS = Mechanics(steps=24, load_steps=8)
 BOUNDS = Bounds(force=(-0.3, 0.0), initial=(0.5, 0.1, -0.05))
@@ -27,7 +29,7 @@ def build(kind: type[PhysicsInformedGAN] = PhysicsInformedGAN, **settings) -> Ph
     return module
 
 
-def fit(module: PhysicsInformedGAN, batches: list[dict], epochs: int = 1) -> Trainer:
+def fit(module: PhysicsInformedGAN, batches: list[PairBatch], epochs: int = 1) -> Trainer:
     trainer = Trainer(max_epochs=epochs, enable_model_summary=False, **QUIET)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Lightning on worker counts
@@ -105,8 +107,8 @@ def test_cycle_of_a_longer_window_never_shows_its_target(make_batch):
     inner = module.generator_ba.generate
     module.generator_ba.generate = lambda window, *more: seen.append(window) or inner(window, *more)
     module.generator_losses(batch)
-    real_a = batch["window_a"][:, -1]
-    assert torch.equal(seen[0][:, :-1], batch["window_b"][:, :-1])
+    real_a = batch.a.window[:, -1]
+    assert torch.equal(seen[0][:, :-1], batch.b.window[:, :-1])
     assert all(not torch.equal(seen[0][:, channel], real_a) for channel in range(3))
 
 
@@ -115,12 +117,13 @@ def test_a_decoder_of_physics_starts_from_what_theta_makes_of_the_map(make_batch
     batch, module = make_batch(), build(decoder="physics")
     for generator in (module.generator_ab, module.generator_ba):
         torch.nn.init.zeros_(generator.decoder.output.weight)
-    _, (_, fake_b), theta = module.generator_losses(batch)
-    by = change(theta, batch["mesh_a"], batch["load_a"], batch["course_a"], module.mechanics)
-    expected = shifted(batch["window_a"][:, -1:], by)
+    step = module.generator_losses(batch)[1]
+    fake_b = step.ab.fake
+    by = change(step.ab.answer.theta, batch.a.meshes, batch.a.loads, batch.a.course, module.mechanics)
+    expected = shifted(batch.a.window[:, -1:], by)
     torch.testing.assert_close(fake_b, expected, atol=1e-4, rtol=0)
-    assert (fake_b - batch["window_a"][:, -1:]).abs().max() > 1e-3
-    (fake_b - batch["window_b"][:, -1:]).square().sum().backward()
+    assert (fake_b - batch.a.window[:, -1:]).abs().max() > 1e-3
+    (fake_b - batch.b.window[:, -1:]).square().sum().backward()
     assert module.generator_ab.head.layers[-1].weight.grad.abs().max() > 0
 
 
@@ -132,8 +135,8 @@ def test_every_picture_is_conditioned_on_its_own_generators_theta(make_batch):
         generator.decode = lambda f, t, c, n=name, inner=generator.decode: seen[n].append(t) or inner(f, t, c)
     module.generator_losses(batch)
     without_force = torch.tensor([1.0, 1.0, 0.0])
-    for name, window in (("generator_ab", "window_a"), ("generator_ba", "window_b")):
-        theta = getattr(module, name).estimate(batch[window])
+    for name, one in (("generator_ab", batch.a), ("generator_ba", batch.b)):
+        theta = getattr(module, name).estimate(one.window)
         for given, expected in zip(seen[name], (theta, theta, theta * without_force), strict=True):
             torch.testing.assert_close(given, expected)
 
@@ -148,15 +151,15 @@ def test_augmentation_disturbs_the_windows_but_not_what_they_are_compared_with(m
     module = build(noise=0.05)
     seen = []
     module.generator_ab.encode, inner = lambda w: seen.append(w) or inner(w), module.generator_ab.encode
-    original = batch["window_a"].clone()
+    original = batch.a.window.clone()
     module.generator_losses(batch)
     assert not torch.equal(seen[0], original)
-    assert torch.equal(batch["window_a"], original)
+    assert torch.equal(batch.a.window, original)
 
 
 def test_a_loss_that_is_not_finite_stops_with_a_sentence(make_batch):
     batch = make_batch()
-    batch["observation_a"].displacement = torch.full((2, 1, 3), float("inf"))
+    batch.a.observation.displacement = torch.full((2, 1, 3), float("inf"))
     with pytest.raises(TrainingDiverged, match=r"epoch 0 at one frame 3 and two frame 7; lower"):
         fit(build(), [batch])
 
@@ -245,14 +248,14 @@ def taught(make_told_batch):
     return batch, module, before, error, fit(module, [batch], epochs=12).callback_metrics
 
 
-def bound_error(module: PhysicsInformedGAN, batch: dict) -> float:
+def bound_error(module: PhysicsInformedGAN, batch: PairBatch) -> float:
     generator = module.generator_ab
     posterior = generator.posterior
-    answer = generator.answer(generator.encode(batch["window_a"]), batch["contact_features_a"])
-    seen = (batch[f"{name}_a"] for name in ("mesh", "known_load", "dent"))
+    answer = generator.answer(generator.encode(batch.a.window), batch.a.contact_features)
+    seen = batch.a.meshes, batch.a.known_loads, batch.a.dents
     box = posterior.lower, posterior.upper
     _, information = posterior_physics_loss(answer.mean, answer.factor, *seen, module.mechanics, box)
-    return float(bound_loss(posterior.expected_bound_factor(batch["contact_features_a"]), information.numpy()))
+    return float(bound_loss(posterior.expected_bound_factor(batch.a.contact_features), information.numpy()))
 
 
 def test_head_posterior_trains_both_heads_by_the_evidence_bound(taught):
@@ -291,9 +294,9 @@ def test_the_bound_is_about_what_was_seen_until_the_frame(make_told_batch):
     """Later frames are in the batch for evaluation; the training of head posterior doesn't look at them."""
     batch = make_told_batch()
     expected = build(**POSTERIOR).generator_losses(batch)[0]["physics"]
-    batch["observation_a"].displacement = torch.full((2, 1, 3), 9.0)
+    batch.a.observation.displacement = torch.full((2, 1, 3), 9.0)
     assert torch.equal(build(**POSTERIOR).generator_losses(batch)[0]["physics"], expected)
-    batch["dent_a"][0].change = 0.0
+    batch.a.dents[0].change = 0.0
     assert not torch.equal(build(**POSTERIOR).generator_losses(batch)[0]["physics"], expected)
 
 
@@ -302,7 +305,7 @@ def test_test_records_of_head_posterior(make_told_batch):
     module.trainer = Trainer(**QUIET)
     module.log = lambda *_, **__: None
     module.test_step(batch, 0)
-    theta = module.generator_ab.estimate(batch["window_a"], batch["contact_features_a"])
+    theta = module.generator_ab.estimate(batch.a.window, batch.a.contact_features)
     torch.testing.assert_close(torch.from_numpy(module.test_records[1]["theta"]), theta[1].detach())
 
 
@@ -374,14 +377,14 @@ def test_load_from_checkpoint_gives_the_trained_module(make_told_batch, tmp_path
 def test_a_mixed_precision_changes_neither_heads_nor_rollouts(make_told_batch, settings, narrow):
     """For the same features θ and the physics are the same to the last digit."""
     batch, module = make_told_batch(), build(**settings)
-    features = {window: module.generator_ab.encode(batch[window]).detach() for window in ("window_a", "window_b")}
+    first, second = (module.generator_ab.encode(one.window).detach() for one in (batch.a, batch.b))
     for generator in (module.generator_ab, module.generator_ba):
-        generator.encode = lambda window: features["window_a" if torch.equal(window, batch["window_a"]) else "window_b"]
-    expected, _, theta = module.generator_losses(batch)
+        generator.encode = lambda window: first if torch.equal(window, batch.a.window) else second
+    expected, step = module.generator_losses(batch)
     with torch.autocast("cpu", dtype=narrow, cache_enabled=False):
-        found, _, other = module.generator_losses(batch)
+        found, other = module.generator_losses(batch)
         total(found, module.weights).backward()
-    assert torch.equal(other, theta)
+    assert torch.equal(other.ab.answer.theta, step.ab.answer.theta)
     assert torch.equal(found["physics"], expected["physics"])
     assert found["cycle"].item() == pytest.approx(expected["cycle"].item(), rel=0.05)
     assert all(p.grad is None or p.grad.isfinite().all() for p in module.parameters())

@@ -24,7 +24,7 @@ def test_reference_keeps_the_force_and_the_farthest_corner_is_that_of_the_box():
 def test_records_hold_what_their_names_say(make_batch):
     torch.manual_seed(0)
     batch = make_batch()
-    batch["observation_a"].weight = torch.tensor([[1.0], [1.0]])
+    batch.a.observation.weight = torch.tensor([[1.0], [1.0]])
     generator = Generator(width=4, residual_blocks=1, bounds=BOUNDS)
     first, second = pair_records(batch, generator, MECHANICS)
     assert (first["clip"], first["frame"], second["clip"], second["frame"]) == ("one", 3, "two", 7)
@@ -36,14 +36,14 @@ def test_records_hold_what_their_names_say(make_batch):
     for name, trajectory in (("error_predicted", "trajectory"), ("error_reference", "reference_trajectory")):
         distance = first[trajectory][seen.steps(MECHANICS.time_step)] - seen.displacement[0]
         assert first[name] == pytest.approx(float((distance**2).sum()), rel=1e-4)
-    now, later = batch["window_a"][0, -1], batch["window_b"][0, -1]
+    now, later = batch.a.window[0, -1], batch.b.window[0, -1]
     valid = (now > 0) & (later > 0)
     assert first["copy_error"] == pytest.approx((now - later).abs()[valid].mean().item(), rel=1e-4)
-    predicted = generator.generate(batch["window_a"], torch.from_numpy(np.stack([first["theta"], second["theta"]])))
+    predicted = generator.generate(batch.a.window, torch.from_numpy(np.stack([first["theta"], second["theta"]])))
     assert first["next_depth_error"] == pytest.approx((predicted[0, 0] - later).abs()[valid].mean().item(), rel=1e-3)
     theta = torch.from_numpy(np.stack([first["theta"], second["theta"]]))
     corner = farthest_corner(theta, generator.head.lower, generator.head.upper)
-    moved = (generator.generate(batch["window_a"], corner) - predicted)[0, 0].abs()
+    moved = (generator.generate(batch.a.window, corner) - predicted)[0, 0].abs()
     assert first["theta_sensitivity"] == pytest.approx(moved[predicted[0, 0] > 0].mean().item(), rel=1e-3)
     assert first["theta_sensitivity"] > 0
 
@@ -56,7 +56,7 @@ def test_a_record_simulates_to_its_trajectory(make_batch):
 
 def test_padding_is_left_out_of_the_record(make_batch):
     batch = make_batch()
-    observation = batch["observation_a"]
+    observation = batch.a.observation
     observation.steps = torch.tensor([[7, 0], [3, 7]])
     observation.displacement = torch.full((2, 2, 3), 0.01)
     observation.weight = torch.tensor([[1.0, 0.0], [1.0, 1.0]])

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from palpate.common.files import file_sha256, read_file
 from palpate.common.options import options
@@ -39,13 +40,13 @@ from palpate.data.settings import PREPROCESSING_VERSION
 from palpate.data.source.layout import read_mapping
 from palpate.data.synthetic.source import PREPARE
 from palpate.estimators.network.fits import BOUNDS, MECHANICS, SCENES
-from palpate.estimators.network.training import new_posterior
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.calibration_fit import fit_widths
 from palpate.models.checkpoint import load_posterior
 from palpate.models.onnx_export import calibrate, export
 from palpate.models.onnx_session import PosteriorModel
+from palpate.models.posterior import ContactPosterior
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 """Files that the benchmark writes into its folder."""
@@ -181,7 +182,7 @@ def main(arguments: list[str] | None = None) -> int:
             calibration = calibration_of(asked)
             difference = calibrate(asked.model, asked.output, calibration)
         else:
-            calibration, posterior = None, new_posterior()
+            calibration, posterior = None, ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.tensor(BOUNDS.log_box))
             load_posterior(posterior, asked.weights)
             difference = export(posterior, asked.output, metadata(asked.weights))
     except (OSError, RuntimeError, ValueError) as error:

@@ -19,13 +19,13 @@ from palpate.estimators.direct.problem import dent_problem
 from palpate.models.losses import posterior_physics_loss
 from palpate.physics.depth import REACH, SequenceNoise
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
+from palpate.physics.msd.batch import Direction, PairBatch
 from tests.data.clips import GRID, SETTINGS, write_clip
 
 SMOOTH = replace(GRID, smoothing=4.0)
 TOLD = SampleSettings(window=2, observation="trajectory", onset_within=9, geometry=SMOOTH)
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 PIXELS = (2 * REACH + 1) ** 2
-KEYS = ("contact_features", "known_load", "dent")
 
 
 @pytest.fixture(scope="module")
@@ -40,27 +40,27 @@ def clip(written):
     return prepare(written / "clip", replace(SETTINGS, geometry=SMOOTH), written / "cache")
 
 
-def batch_of(clip, frames: list[int], settings: SampleSettings = TOLD) -> dict:
+def batch_of(clip, frames: list[int], settings: SampleSettings = TOLD) -> PairBatch:
     dataset = SampleDataset([clip], [(0, frame) for frame in frames], settings)
     return collate([dataset[index] for index in range(len(frames))])
 
 
-def told(batch: dict, side: str) -> list[torch.Tensor]:
-    [load] = batch[f"known_load_{side}"]
+def told(one: Direction) -> list[torch.Tensor]:
+    [load] = one.known_loads
     parts = map(torch.from_numpy, (load.direction, load.factor, load.vertices))
-    return [batch[f"contact_features_{side}"], *parts, batch[f"dent_{side}"].change]
+    return [one.contact_features, *parts, one.dents[0].change]
 
 
 def test_loads_are_those_of_the_contact_cut_off_at_the_frame(clip):
     frames = [3, 4, 6, 10]
     batch = batch_of(clip, frames)
-    assert [load.factor.sum() for load in batch["known_load_a"]] == [
+    assert [load.factor.sum() for load in batch.a.known_loads] == [
         0,
         8,
         24,
         40,
     ]  # in contact in frames 3 to 7, out in 8
-    assert batch["observation_a"].weight.sum(dim=1).tolist() == [8, 8, 8, 8]
+    assert batch.a.observation.weight.sum(dim=1).tolist() == [8, 8, 8, 8]
 
 
 @pytest.mark.parametrize("frame", [3, 4, 6])
@@ -72,9 +72,9 @@ def test_nothing_that_is_told_comes_from_later_frames(clip, frame: int):
     clip.track_position[frame + 1 :] += (0.1, 0.0, 0.05)
     clip.contact[frame + 1 :] = False
     now = batch_of(clip, [frame], along)
-    assert not torch.equal(now["observation_a"].displacement, known["observation_a"].displacement)
-    for side in ("a", "b"):
-        for ours, theirs in zip(told(now, side), told(known, side), strict=True):
+    assert not torch.equal(now.a.observation.displacement, known.a.observation.displacement)
+    for one, other in ((now.a, known.a), (now.b, known.b)):
+        for ours, theirs in zip(told(one), told(other), strict=True):
             assert torch.equal(ours, theirs)
 
 
@@ -82,7 +82,7 @@ def test_without_a_known_noise_or_a_trajectory_nothing_is_told(clip, tmp_path):
     plain = prepare(write_clip(tmp_path / "plain"), SETTINGS, tmp_path / "cache")
     for prepared, settings in ((plain, replace(TOLD, geometry=GRID)), (clip, SampleSettings(geometry=SMOOTH))):
         batch = batch_of(prepared, [3, 4], settings)
-        assert not [key for key in batch if key.startswith(KEYS)]
+        assert all((one.contact_features, one.known_loads, one.dents) == (None, (), ()) for one in (batch.a, batch.b))
         assert make_sample(prepared, 3, settings).known is None
 
 
@@ -99,10 +99,10 @@ def test_dents_are_told_and_joined(clip) -> None:
     for row, sample in enumerate(samples):
         assert sample.known.sequence is not None
         expected = dent_features(sample.known, within=0.0)
-        for side in ("a", "b"):
-            assert batch[f"contact_features_{side}"].shape == (2, FEATURES + SEQUENCE_FEATURES)
-            np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
-    assert [dent.observed.shape for dent in batch["dent_a"]] == [(1, PIXELS), (3, PIXELS)]
+        for one in (batch.a, batch.b):
+            assert one.contact_features.shape == (2, FEATURES + SEQUENCE_FEATURES)
+            np.testing.assert_array_equal(one.contact_features[row].numpy(), expected)
+    assert [dent.observed.shape for dent in batch.a.dents] == [(1, PIXELS), (3, PIXELS)]
 
 
 @pytest.mark.parametrize("fine", [False, True])

@@ -55,19 +55,19 @@ def four_videos(tmp_path_factory):
 
 
 def order(loader) -> list[tuple[str, int]]:
-    return [(clip, int(frame)) for batch in loader for clip, frame in zip(batch["clip"], batch["frame"], strict=True)]
+    return [(clip, int(frame)) for batch in loader for clip, frame in zip(batch.clips, batch.frames, strict=True)]
 
 
 def test_a_batch_holds_what_the_training_step_needs(one_clip):
     data = module(one_clip, window=3)
     batch = next(iter(data.train_dataloader()))
-    for side in ("a", "b"):
-        window, loads, observation = (batch[f"{name}_{side}"] for name in ("window", "load", "observation"))
+    for one in (batch.a, batch.b):
+        window, loads, observation = one.window, one.loads, one.observation
         assert (window.shape, window.dtype) == ((2, 3, 48, 64), torch.float32)
         assert [np.linalg.norm(load.direction) for load in loads] == pytest.approx([1, 1], abs=1e-5)
         assert observation.steps.tolist() == [[199], [199]]
         theta = torch.tensor([[0.5, 0.1, -0.1]]).repeat(2, 1)
-        trajectory = rollout(theta, batch[f"mesh_{side}"], loads, data.mechanics)
+        trajectory = rollout(theta, one.meshes, loads, data.mechanics)
         assert torch.isfinite(displacement_error(trajectory, observation)).all()
 
 
@@ -76,9 +76,9 @@ def test_trajectories_of_differing_length_are_padded_with_weight_zero(tmp_path):
     write_clip(tmp_path / "data" / "video01" / "video01_00080", frames=12)
     data = module(tmp_path, {"batch_size": 20, "fractions": (1.0, 0.0, 0.0)}, observation="trajectory", window=4)
     batch = next(iter(data.train_dataloader()))
-    lengths = dict(zip(batch["clip"], batch["observation_a"].weight.sum(dim=1).tolist(), strict=True))
-    assert (lengths, batch["observation_a"].displacement.shape[1]) == ({"video01_00000": 4, "video01_00080": 8}, 8)
-    assert torch.equal(batch["observation_a"].displacement, batch["observation_b"].displacement)
+    lengths = dict(zip(batch.clips, batch.a.observation.weight.sum(dim=1).tolist(), strict=True))
+    assert (lengths, batch.a.observation.displacement.shape[1]) == ({"video01_00000": 4, "video01_00080": 8}, 8)
+    assert torch.equal(batch.a.observation.displacement, batch.b.observation.displacement)
 
 
 def test_few_videos_are_split_in_time_with_a_warning(one_clip):

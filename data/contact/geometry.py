@@ -315,6 +315,6 @@ def _cloud_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settin
     clouds = points[tuple(tool_pixels.T)], points[tuple(tissue_pixels.T)]
     tool_row, tissue_row, distance = find_contact(*clouds, two_pass=settings.two_pass)
     if settings.contact == "touching" and distance > settings.contact_distance:
-        detail = f"The tool is {distance:.3g} from the tissue, more than {settings.contact_distance:g}."
+        detail = f"The tool is {distance:.3g} scene units from the tissue, more than {settings.contact_distance:g}."
         raise GeometryStatus("no_contact", detail, distance)
     return tool_pixels[tool_row], tissue_pixels[tissue_row]

@@ -21,7 +21,7 @@ from palpate.estimators.result import values_of
 from palpate.physics.identifiability import NINETY
 from palpate.results import store
 from palpate.results.artefacts.base import Artefact
-from palpate.results.verdicts import NOTES, in_words, numbers, state
+from palpate.results.verdicts import NOTES, OWN_UNITS, in_words, numbers, state
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,8 +67,8 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     heights = [0.9 + 0.2 * len(said) + 2.8 * _moves(run) for run, (_, said) in zip(runs, words, strict=True)]
     figure = Figure(figsize=(15, sum(heights) + 1.4), dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12))
     figure.suptitle("\n".join(_lines(title, 52)), x=0.01, ha="left", fontsize=18, fontweight="bold")
-    footer = f"Contacts: {total}, with an estimate: {total - counts['no_estimate']}. {drawn}Research software, not a "
-    figure.supxlabel(f"{footer}medical device.", x=0.01, ha="left", fontsize=10)
+    footer = f"Contacts: {total}, with an estimate: {total - counts['no_estimate']}. {drawn}{OWN_UNITS}."
+    figure.supxlabel(f"{footer} Research software, not a medical device.", x=0.01, ha="left", fontsize=10)
     if not runs:
         return figure
     rows = figure.subplots(len(runs), height_ratios=heights, squeeze=False)[:, 0]
@@ -113,7 +113,7 @@ def _described(run: InteractionEstimate) -> tuple[str, list[str]]:
         explained = f"Skill {pull.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
     elif press is not None and run.beside is None:
         sure, explained = "doubtful" if run.verdict == "determined" and run.detail else run.verdict, press.explanation
-        heading += ", " + ", ".join(" ".join(pair) for pair in numbers(sure, values_of(press.numbers)))
+        heading += ", " + ", ".join(map(" ".join, numbers(sure, values_of(press.numbers))))
     return "\n".join(_lines(heading, 110)), _lines(f"{run.detail} {explained}".strip())
 
 

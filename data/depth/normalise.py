@@ -1,7 +1,7 @@
 """Depth of a clip's frames: from stored files or an ONNX model, and the one normalisation.
 
 Bini 2026, section 3.2.1, with its per-frame choices replaced by ones that are fixed for a whole clip: one scale without
-an offset, one focal length and one range of relative depth. docs/reports/depth.md describes how they are frozen.
+an offset, one focal length and one range of relative depth. docs/depth.md describes how they are frozen.
 """
 
 import math

@@ -16,7 +16,6 @@ from tests.data.depth.test_model import build
 from tests.data.masks.test_onnx import BOTH, save_model
 from tests.inference_inputs import SIZE, write_clip, write_model, write_video
 from tests.sequences import write_sequence
-from tests.test_calibrate import write_scene
 from tests.test_docs import GUIDE
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("blank_pictures")]
@@ -28,7 +27,7 @@ ELSEWHERE = {
     "python -m benchmarks.recovery": "tests/benchmarks/test_benchmark.py",
     "python -m benchmarks.instruments": "tests/data/masks/test_cut.py",
     "python -m benchmarks.palpation.example": "tests/test_calibrate.py",
-    "palpate calibrate palpation runs/": "tests/test_calibrate.py",
+    "palpate calibrate palpation": "tests/test_calibrate.py",
     "palpate outline": "tests/test_outline_page.py",
     "palpate plan configs/": "tests/planning/test_scene.py",
     "palpate live -": "tests/test_live.py",
@@ -83,7 +82,6 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_model(folder / "runs" / "masks" / "instruments.onnx", BOTH)
     write_sequence(folder / "pull", 6)
     (folder / "online.yaml").write_text("particles: 60\n")
-    write_scene(folder)
     return folder
 
 

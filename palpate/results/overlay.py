@@ -91,7 +91,8 @@ def panel_corner(labels: np.ndarray | None, before: tuple[int, int] = (0, 0)) ->
 
     Lower corners count as nearer: players put their controls there.
     """
-    places = np.argwhere(labels == TOOL) if labels is not None else np.empty((0, 2))
+    labels = None if labels is None else labels[:: 1 + len(labels) // 240, :: 1 + len(labels) // 240]
+    places = np.argwhere(labels == TOOL)
     if labels is None or not len(places):
         return before
     away = [np.linalg.norm(places / labels.shape - corner, axis=1).min() - 0.3 * corner[0] for corner in CORNERS]

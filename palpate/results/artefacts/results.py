@@ -25,9 +25,9 @@ class ResultFile(Artefact):
         self._contacts: list[dict[str, Any]] = []
         self._separator = "\n"
         self._file = self.path.open("w", encoding="utf-8")
-        notice = "Research software, not a medical device."
-        head = {"version": VERSION, "notice": notice, "clip": self.clip.source.name, "fps": self.clip.fps}
-        self._file.write(as_json(head | {"units": UNITS})[:-1] + ', "frames": [')
+        head = {"version": VERSION, "notice": "Research software, not a medical device.", "units": UNITS}
+        head |= {"clip": self.clip.source.name, "fps": self.clip.fps}
+        self._file.write(as_json(head)[:-1] + ', "frames": [')
 
     def frame(self, estimate, image, labels) -> None:
         self._file.write(self._separator + as_json(_values(FRAMES, estimate) | _covariance(estimate.estimate)))

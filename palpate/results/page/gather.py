@@ -142,9 +142,8 @@ def _curves(
         row, forces = contact["row"], contact["forces"]
         # A pull determines no stiffness: its press, if one was fitted, would only hide the rest.
         values = {name: None if contact["name"] == "relative_force" else row[name] for name in CURVES}
-        values["sure"] = "stiffness" in row["determined"]
-        names = "unit", "time_s", "frame_s", "force", "force_low", "force_high"
-        values |= {name: forces[name] for name in names} | {"words": contact["words"]}
+        values |= {"sure": "stiffness" in row["determined"], "words": contact["words"]}
+        values |= {x: forces[x] for x in ("unit", "time_s", "frame_s", "force", "force_low", "force_high")}
         # A press over its own peak is as its model assumes: it has no interval, and nothing to show.
         values["flat"] = forces["unit"] == RELATIVE and not any(low is not None for low in forces["force_low"])
         found["contacts"].append(values)

@@ -48,7 +48,7 @@ NETWORKS: dict[str, dict[str, Any]] = {
 }
 """What differs from the generator's defaults."""
 HEIGHTS = {854: 480, 1280: 720}
-"""Of pictures by their width [px]."""
+"""Heights of pictures by their width [px]."""
 VIDEO_FRAMES, VIDEO_SEED = 250, 55
 RATES = ("full", "fast")
 """Values of --rate."""

@@ -49,7 +49,7 @@ class PreparedFrame:
     undecided: bool = False
     """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
     light: np.ndarray | None = None
-    """Logarithm of the tissue's light, as of `data.shading.light.log_light`; None where it isn't looked at."""
+    """Logarithm of the tissue's light, as in `data.shading.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
     press: tuple[int, int] | None = None
@@ -124,7 +124,7 @@ class PreparedFrame:
 
     @cached_property
     def shown(self) -> Shown:
-        """That view as points are followed in it, made once for all who follow."""
+        """View of the frame in which points are followed, made once for all who follow."""
         return Shown.of_view(self.view)
 
     @cached_property

@@ -31,7 +31,7 @@ class Linearised(NamedTuple):
 
     @property
     def gradient(self) -> np.ndarray:
-        """Of the misfit by φ, shape [D]."""
+        """Gradient of the misfit by φ, shape [D]."""
         return self.jacobian.T @ self.residual
 
     @property

@@ -36,7 +36,7 @@ ELSEWHERE = {
 }
 """Commands that train, install, wait for somebody or take long, and what runs them."""
 SMALLER = {
-    "--clips 30": "--clips 1 --size small --frames 8",
+    "--clips 30": "--clips 1 --size small --frames 16",
     "rtsp://127.0.0.1/endoscope": "clip.mp4",
     "live 0": "live clip.mp4",
 }
@@ -74,14 +74,14 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     write_bag(folder / "recorded.bag", recorded)
     shutil.copy(folder / "recorded.bag", folder / "pull.bag")
-    (folder / "forces.csv").write_text("time_s,force_N\n0.0,0.0\n0.3,1.5\n")
+    (folder / "forces.csv").write_text("time_s,force_N\n0.0,0.0\n0.15,0.5\n0.3,1.5\n")
     (folder / "known.yaml").write_text("stiffness: 50\n")
     write_model(folder / "parameters.onnx")
     build(folder / "mine.onnx")
     (folder / "mine.yaml").write_text("kind: metric\nresize: none\n")
     save_model(folder / "runs" / "masks" / "instruments.onnx", BOTH)
     write_sequence(folder / "pull", 6)
-    (folder / "online.yaml").write_text("particles: 60\n")
+    (folder / "online.yaml").write_text("particles: 150\n")
     return folder
 
 

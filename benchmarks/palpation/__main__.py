@@ -31,7 +31,7 @@ YOUNG, POISSON = 1e4, 0.42
 PLACE = {"ball": (0.35, 0.5), "slab": (0.6, 0.5)}
 """Where is pressed, as `Body.contact` takes it: where the Cramér–Rao bound asks for the fewest pictures."""
 PICTURES = {("slab", "time of flight"): 5}
-"""Of every press, each with its own pose, as many as the bound asks for; else one."""
+"""Pictures of every press, each with its own pose, as many as the bound asks for; else one."""
 FORCES = (0.3, 0.4, 0.5)
 """Forces of the presses, one step after the other as the paper's robot does [N]: laws part where a body is dented by
 more."""
@@ -41,13 +41,13 @@ CELLS, TRUE_CELLS = {"ball": 6, "slab": 7}, {"ball": 8, "slab": 9}
 EDGE, TRUE_EDGE = {"ball": 0.7 * TOOL, "slab": 0.6 * TOOL}, {"ball": 0.5 * TOOL, "slab": 0.4 * TOOL}
 """Longest edge of an element where the tool presses [m]; of the truth's as well."""
 SPACING, TRUE_SPACING = 1 / 56, 1 / 64
-"""Of the scanned surface, over the body's size."""
+"""Distances of points of the scanned surface, over the body's size."""
 STARTS = (30.0, 1 / 30)
 SEED = 73500
-"""Of the first press's noise; those after it follow."""
+"""Seed of the first press's noise; those after it follow."""
 
 Truth = tuple[Skin, Equilibrium, np.ndarray, np.ndarray]
-"""As `press` gives it."""
+"""Body, places, forces and the rest, as `press` gives it."""
 
 
 @dataclass(frozen=True)

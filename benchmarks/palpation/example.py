@@ -31,7 +31,8 @@ FILES = ("scene.yaml", "rest.obj", "observed.csv")
 YOUNG, POISSON, FORCE, PLACE = 1e4, 0.42, 0.5, (0.35, 0.5)
 """The truth, co-rotational [Pa], and with what [N] and where is pressed, as `Body.contact` takes it."""
 CELLS, EDGE, SPACING = 4, 0.6 * TOOL, 0.003
-"""Of the truth's mesh: cells along the slab, longest edge where the tool presses, and the scan's triangles [m]."""
+"""Sizes of the truth's mesh: cells along the slab, longest edge where the tool presses, and the scan's triangles
+[m]."""
 POINTS, SEED = 4000, 73600
 
 

@@ -109,7 +109,7 @@ def deviations(covariances: np.ndarray) -> np.ndarray:
 
 
 def score_all(rows: Sequence[Row], onset: str = STAMP) -> list[Scores]:
-    """Scores of every estimator and suite, in the order in which they first appear; arguments as of `score`."""
+    """Scores of every estimator and suite, in the order in which they first appear; arguments as in `score`."""
     found = []
     for estimator, suite in dict.fromkeys((row["estimator"], row["suite"]) for row in rows):
         own = [row for row in rows if (row["estimator"], row["suite"]) == (estimator, suite)]

@@ -79,7 +79,7 @@ class MeasuredContacts(ContactEvidence):
     """Contact of a clip whose depth is measured; evidence decides where instruments have no usable depth.
 
     Args:
-        near: as of `ContactEvidence`.
+        near: as in `ContactEvidence`.
         camera: intrinsics of the grid.
     """
 

@@ -49,7 +49,7 @@ class SequenceNoise:
     correlated_in_time: float = 1.0
     """Independent pixels are this many times fewer than pixels: neighbours' new errors go together."""
     correlated_in_place: float = 1.0
-    """The same of errors that stay."""
+    """Number of pixels that count as one, for errors that stay."""
 
     @property
     def rounded(self) -> bool:
@@ -91,7 +91,7 @@ class SequenceRecorder:
         mesh: tissue at rest.
         vertex: the contact.
         noise: standard deviation of the depth about the smoothed tissue [scene units].
-        size: as of `DepthSequence`.
+        size: as in `DepthSequence`.
     """
 
     def __init__(self, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int]) -> None:
@@ -111,7 +111,7 @@ class SequenceRecorder:
         """`_products` of the first frame's errors, and of every two frames' difference."""
 
     def frame(self, depth: np.ndarray, labels: np.ndarray) -> np.ndarray | None:
-        """Change of the depth in a frame, shape [S, S] as of `DepthSequence`; None where the camera's motion isn't
+        """Change of the depth in a frame, shape [S, S] as in `DepthSequence`; None where the camera's motion isn't
         known.
 
         Args:
@@ -154,9 +154,8 @@ class SequenceRecorder:
         return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
 
     def noise(self, count: int) -> SequenceNoise:
-        """As measured in the first frame and so many after it; all of it counts as new in every frame where that is
-        the first alone.
-        """
+        """Return the noise, as measured in the first frame and so many after it; all of it counts as new in every frame
+        where that is the first alone."""
         later = self._measured[1 : count + 1]
         if not later:
             return SequenceNoise(self._noise, 0.0)

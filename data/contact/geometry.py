@@ -186,7 +186,7 @@ def dent_geometry(
     depth: np.ndarray, labels: np.ndarray, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings,
     rest: RestTissue | None = None,
 ) -> FrameGeometry:  # fmt: skip
-    """Mesh of the tissue with its contact at a grid pixel (u, v), where a dent is; the others as of `frame_geometry`.
+    """Mesh of the tissue with its contact at a grid pixel (u, v), where a dent is; the others as in `frame_geometry`.
 
     Raises:
         GeometryStatus: `bad_depth` where the tissue gives no mesh.
@@ -203,10 +203,10 @@ def dent_geometry(
 def smooth_rest(
     depth: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue | None = None
 ) -> tuple[RestTissue, float]:
-    """The tissue at rest, smoothed as the settings say, and the noise as of `FrameGeometry`.
+    """The tissue at rest, smoothed as the settings say, and the noise as in `FrameGeometry`.
 
     Args:
-        depth, labels: of a frame, as of `frame_geometry`.
+        depth, labels: of a frame, as in `frame_geometry`.
         settings: `smoothing` counts.
         rest: the tissue at rest; None = as it is visible.
     """
@@ -239,7 +239,7 @@ def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySetting
 
 
 def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:
-    """The same frame with the mesh's vertex at the grid pixel (u, v) as its contact."""
+    """Return the frame with the mesh's vertex at the grid pixel (u, v) as its contact."""
     vertex = int(np.flatnonzero((geometry.mesh.pixels == pixel[::-1]).all(axis=1))[0])
     point = geometry.mesh.vertices[vertex]
     return dataclasses.replace(
@@ -284,7 +284,7 @@ def _require_pixels(tool: np.ndarray, tissue: np.ndarray, depth: np.ndarray, set
 
 
 Pixels = tuple[np.ndarray, np.ndarray]
-"""Of the tool and of the tissue, row and column each."""
+"""Pixels of the tool and of the tissue, row and column each."""
 
 
 def _outline_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings) -> Pixels:

@@ -42,7 +42,7 @@ class Interaction:
     observation: Observation
     """The followed points."""
     time_step: float
-    """Of the load [s]."""
+    """Time step of the load [s]."""
     sequence: DepthSequence | None = None
     """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
     shading: ShadingSequence | None = None
@@ -92,11 +92,12 @@ class Interaction:
 
     @property
     def along(self) -> np.ndarray:
-        """The same along the force's direction, shape [N], float64 [scene units]."""
+        """Observed motion along the force's direction, shape [N], float64 [scene units]."""
         return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
 
     def observed(self, instants: np.ndarray) -> Interaction:
-        """The same, observed at some of its instants only, a mask or indices; its sequence as far as the last."""
+        """Return the interaction, observed at some of its instants only, a mask or indices; its sequence as far as the
+        last."""
         observation, sequence, shading = self.observation.chosen(instants), self.sequence, self.shading
         last = observation.times[-1] + SAME_INSTANT if len(observation) else -math.inf
         if sequence is not None:
@@ -125,7 +126,7 @@ class ContactFrame:
     labels: np.ndarray | None = None
     """Label map on the grid, shape [h, w]."""
     light: np.ndarray | None = None
-    """Logarithm of the tissue's light, as of `data.shading.light.log_light`; None where it isn't looked at."""
+    """Logarithm of the tissue's light, as in `data.shading.light.log_light`; None where it isn't looked at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
     skipped: int = 0

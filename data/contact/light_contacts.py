@@ -59,7 +59,7 @@ class LightContacts:
         """Number of the frame before."""
         self._registration: Registration | None = None
         self._view: View | None = None
-        """Of the frame before."""
+        """View of the frame before."""
         self._first: list[LitFrame] = []
         """The first frames, until there are enough to take the earliest for tissue at rest."""
         self._waiting: list[LitFrame] = []

@@ -48,7 +48,7 @@ class Edge:
     place_sd: float
     """Standard deviation of where it lies across, as its points tell."""
     angle_sd: float
-    """Likewise of its direction [rad]."""
+    """Standard deviation of its direction [rad]."""
 
     def plane(self, camera: Camera, moved: float = 0.0, turned: float = 0.0) -> np.ndarray:
         """Normal of the plane through the camera's centre, out of the shaft, shape [3], unit length."""

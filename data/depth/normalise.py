@@ -240,7 +240,7 @@ def resize_depth(
 
 
 def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The labels alone, as of `resize_depth`."""
+    """The labels alone, as in `resize_depth`."""
     order, _, shares = _shares(labels, size)
     return np.asarray(order, np.uint8)[shares.argmax(axis=0)]
 

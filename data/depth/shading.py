@@ -17,7 +17,7 @@ EDGE = 6
 FEWEST = 200
 """With fewer pixels than that, those at the border count as well."""
 LARGEST_TANGENT = 3.0
-"""Of the plane's tilt along either axis."""
+"""Largest tangent of the plane's tilt along either axis."""
 GRAZING = 0.05
 """Least cosine between the plane's normal and a ray."""
 

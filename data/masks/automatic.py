@@ -31,7 +31,7 @@ class AutomaticMasks:
     Args:
         path: the network; by default the one that ships.
         every: the network runs in one of so many frames; in between its probability is moved along the flow.
-        threads, device: as of `PictureNetwork`.
+        threads, device: as in `PictureNetwork`.
     """
 
     def __init__(self, path: Path = WEIGHTS, *, every: int = 1, threads: int = 0, device: str = "cpu") -> None:

@@ -82,7 +82,7 @@ class Camera(Checked):
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same camera for the picture resized to width x height.
+        """Return the camera for the picture resized to width x height.
 
         Raises:
             ValueError: the camera has no size of its own, and a centre far from that of such a picture.
@@ -108,7 +108,7 @@ class Rig(Camera):
     baseline_sd: NotNegative = 0.0
     """Its standard deviation, or that of `translation`'s length [m]."""
     rotation: tuple[float, ...] = (1, 0, 0, 0, 1, 0, 0, 0, 1)
-    """Of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
+    """Rotation of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
     translation: tuple[float, float, float] | None = None
     """T, in place of a baseline [m]."""
     right: Rig | None = None

@@ -47,7 +47,7 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
 def decode_image(
     content: bytes, named: str, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS
 ) -> np.ndarray:
-    """Decode an image file's bytes; arguments as of `read_image`, `named` begins the error message.
+    """Decode an image file's bytes; arguments as in `read_image`, `named` begins the error message.
 
     Raises:
         InputError: empty, truncated, undecodable or too large content.

@@ -50,7 +50,7 @@ class SequenceFile(Checked):
     fps: Positive | None = None
     """Frames a second; the first one is then at 0 s."""
     unit: Literal["m", "mm"] = "m"
-    """Of all lengths in the files and here, but for `depth_factor`."""
+    """Length unit of all lengths in the files and here, but for `depth_factor`."""
     hand_eye: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     """Pose of the camera in the frame that `camera_on` names."""
     camera_on: Literal["base", "tool"] = "base"
@@ -86,11 +86,11 @@ class Sequence:
     path: Path
     given: SequenceFile
     files: list[Path]
-    """Of the clouds or depth pictures."""
+    """Files of the clouds or depth pictures."""
     numbers: list[int]
-    """Of the frames."""
+    """Numbers of the frames."""
     times: np.ndarray
-    """Of the frames, shape [T] [s]."""
+    """Times of the frames, shape [T] [s]."""
     tool: "Tool"
     pins: np.ndarray
     """Lower and upper corners of what stands still, shape [B, 2, 3] [m]."""
@@ -99,7 +99,7 @@ class Sequence:
     gripped: range
     """Frames in which the tool holds tissue."""
     camera: Camera | None
-    """Of depth pictures."""
+    """Camera of depth pictures."""
 
     def cloud(self, frame: int) -> np.ndarray:
         """Points of the tissue in a frame, shape [m, 3] [m]; m = 0 where the camera saw none.
@@ -164,7 +164,7 @@ class Tool:
     turns: Rotation
     """K of them, in the robot's frame."""
     places: np.ndarray
-    """Of its own frame's origin, shape [K, 3] [m]."""
+    """Places of its own frame's origin, shape [K, 3] [m]."""
     tip: np.ndarray
     """Where it touches tissue, in its own frame, shape [3] [m]."""
 

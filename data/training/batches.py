@@ -122,7 +122,7 @@ def _sequence_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarr
 
 
 def _sequence_noise(contact: Interaction) -> float:
-    """σ of every pixel's error [scene units]; larger where errors are correlated in time, as of fewer pixels."""
+    """σ of every pixel's error [scene units]; larger where errors are correlated in time, like fewer pixels."""
     sequence, noise = contact.sequence, network_noise(contact)
     correlated = sequence is not None and len(sequence.times) and not sequence.noise.rounded
     return noise * math.sqrt(sequence.noise.correlated_in_time) if correlated else noise

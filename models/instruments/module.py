@@ -122,7 +122,7 @@ class InstrumentSegmentation(LightningModule):
             Share of their pixels that the file decides otherwise than torch.
 
         Raises:
-            ForeignFile, ParityError: as of `models.onnx_export.export`.
+            ForeignFile, ParityError: as in `models.onnx_export.export`.
         """
         network = self.averaged.module.cpu().eval()
         model = quantised(to_onnx(network, {"picture": pictures[:1].repeat(2, 1, 1, 1)}, ["logits"]), pictures)

@@ -164,14 +164,14 @@ class JsonLines:
 
     Args:
         source: whose estimates are printed.
-        server: as of `igtl_server`; its client gets lines as texts called palpate. None = there is none.
+        server: as in `igtl_server`; its client gets lines as texts called palpate. None = there is none.
         alarm: of a limit of force, where there is one.
     """
 
     def __init__(self, source: LiveSource, server: Any, alarm: ForceAlarm | None) -> None:
         self.source, self.server, self.alarm = source, server, alarm
         self._late: dict[bool, deque[float]] = {decided: deque(maxlen=1 << 16) for decided in (False, True)}
-        """Of the last frames, when they were prepared and when they were decided [s]."""
+        """Latencies of the last frames, when they were prepared and when they were decided [s]."""
         self._frames, self._begun = 0, time.monotonic()
         self._one = threading.Lock()
 

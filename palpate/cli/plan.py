@@ -137,6 +137,6 @@ def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, console: Consol
 
 
 def _numbers(plan: Plan) -> dict[str, Any]:
-    """Of a way, as the record has them."""
+    """Return the numbers of a way, as the record has them."""
     numbers = {"cost": plan.cost, "deformation": plan.deformation, "way": plan.way}
     return {"places": np.round(plan.places, 6).tolist()} | numbers

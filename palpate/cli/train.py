@@ -299,7 +299,7 @@ CHOSEN: dict[str, Any] = {
 }
 """How Lightning's command line is made."""
 CHOSEN_MASKS = {name: CHOSEN[name] for name in ("parser_class", "seed_everything_default", "auto_configure_optimizers")}
-"""The same for the training of masks."""
+"""Settings that are chosen for the training of masks."""
 
 
 def contact_features(observation: str, smoothing: float) -> int:

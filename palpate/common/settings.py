@@ -33,7 +33,7 @@ shown = _short.repr
 
 
 MOST_LEVELS, MOST_VALUES = 16, 100_000
-"""Of lists and mappings within each other, and of what lies in one of these levels."""
+"""Most levels of lists and mappings within each other, and of values in one of these levels."""
 
 
 def sound(value: Any) -> bool:

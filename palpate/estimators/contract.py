@@ -104,7 +104,7 @@ class ClipInfo:
 
     @classmethod
     def of(cls, clip: ClipStream) -> Self:
-        """Of an opened clip."""
+        """Describe an opened clip."""
         settings, source = clip.settings, clip.source
         return cls(source.fps, source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
 

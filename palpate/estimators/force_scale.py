@@ -48,7 +48,7 @@ class ClipLength:
 
     @classmethod
     def of(cls, clip: ClipStream) -> ClipLength:
-        """As the clip itself tells it.
+        """Return the length as the clip itself tells it.
 
         Raises:
             InputError: by its camera file tissue would lie nearer or farther away than NEAREST and FARTHEST.
@@ -62,7 +62,7 @@ class ClipLength:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The same in words and millimetres, with a 90 % interval."""
+        """Description in words and millimetres, with a 90 % interval."""
         if self.metres is None or not math.isfinite(self.metres):
             return {"mm": None, "by": self.by, "says": "scene units are not metric"}
         mm, half = 1000 * self.metres, math.exp(NINETY * self.log_sd)

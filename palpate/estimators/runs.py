@@ -163,7 +163,7 @@ class RunSession:
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
         self.lit_mechanics = MECHANICS.matched(1 / clip.fps)
-        """That of estimates by light."""
+        """Mechanics of estimates by light."""
         self.by_light = False
         """Whether a press is estimated by the light of the tissue, where it is known."""
         self.needs_light = False
@@ -253,7 +253,7 @@ class RunSession:
         return run.estimate(**results, detail=detail)
 
     def _lit(self, contact: Interaction) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
-        """As of `fit_shading`: the estimate of a whole contact by its light.
+        """Return the estimate of a whole contact by its light (see `fit_shading`).
 
         Raises:
             NoEstimate: the contact can't be estimated.

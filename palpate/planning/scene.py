@@ -21,9 +21,9 @@ Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 SIZES = (1e-4, 10.0)
-"""Of a block of tissue [m]."""
+"""Sizes of a block of tissue [m]."""
 MOST_CELLS = 4000
-"""Of its mesh, all together; ten times less is the default."""
+"""Most cells of its mesh, all together; ten times less is the default."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class SoftObject(Checked):
     longest: Annotated[float, 1e-15, 0.1] = 0.04
     """How far the tissue is pushed along until it lets the tip by [m], 10 cm at most."""
     cells: tuple[int, int, int] = (6, 1, 5)
-    """Of the mesh along width, thickness and height, of quadratic elements."""
+    """Number of cells of the mesh along width, thickness and height, of quadratic elements."""
 
     def __post_init__(self) -> None:
         if not all(SIZES[0] <= size <= SIZES[1] for size in self.size):
@@ -57,7 +57,7 @@ class SoftObject(Checked):
 
     @property
     def height(self) -> float:
-        """Of the plane over the foot [m]: half of the block's."""
+        """Height of the plane over the foot [m]: half of the block's."""
         return self.size[2] / 2
 
 
@@ -152,7 +152,7 @@ class PlanScene(Checked):
     """Lower left and upper right corner of the plane's part that may be used [m]."""
     start: Pair
     goal: Pair
-    """Of the tip [m]."""
+    """Goal of the tip [m]."""
     objects: dict[str, SoftObject]
     """Kinds of tissue by name."""
     tissue: tuple[Piece, ...]
@@ -192,24 +192,24 @@ class SpaceScene(Checked):
     """The body's closed surface, next to this file: PLY, STL, OBJ, or what else trimesh reads."""
     start: Triple
     goal: Triple
-    """Of the tip's centre [m]."""
+    """Goal of the tip's centre [m]."""
     port: Triple
     """Which the shaft goes through [m]."""
     limit_N: Positive
-    """Of the force on the instrument: the upper end of its interval keeps below it all along the path."""
+    """Limit of the force on the instrument: the upper end of its interval keeps below it all along the path."""
     young: Positive
     """E [Pa]."""
     young_log_sd: NotNegative = 0.0
     """Standard deviation of its logarithm."""
     unit: Literal["m", "cm", "mm"] = "m"
-    """Of the mesh's file; all else is in metres."""
+    """Unit of the mesh's file; all else is in metres."""
     poisson: Annotated[float, 0, 0.499] = 0.45
     tip_radius: Annotated[float, 1e-15, 0.025] = 0.0025
-    """Of the tip, a ball, and of the shaft [m], 2.5 cm at most."""
+    """Radius of the tip, a ball, and of the shaft [m], 2.5 cm at most."""
     alpha: Annotated[float, 0, 1] = 0.5
     """α: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
     speed: Positive = 0.01
-    """Of the tip [m/s]."""
+    """Speed of the tip [m/s]."""
 
 
 def read_plan_scene(path: Path, alpha: float | None = None) -> PlanScene | SpaceScene:

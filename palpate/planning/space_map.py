@@ -24,7 +24,7 @@ NODES, NEIGHBOURS, JOINED = 3000, 12, 40
 MOVES, FIRST, FINEST = 16, 4.0, 0.25
 """Places tried instead of one of the way's, and how far from it about, at first and at last, over the radius."""
 VERSION = 2
-"""Of what is in a file."""
+"""Version of what is in a file."""
 FAR = 1.0
 """From the body [m]; points farther off are taken for another unit."""
 

@@ -36,7 +36,7 @@ class ForceAlarm:
     alarms: int = 0
     """How often the upper end has reached the limit."""
     frames: Counter[str] = field(default_factory=Counter)
-    """Of each of STATES."""
+    """Number of frames of each of STATES."""
 
     def __post_init__(self) -> None:
         self.end_run()
@@ -79,7 +79,7 @@ class ForceAlarm:
         return {"limit": self.limit, "unit": self.unit, "alarms": self.alarms, "frames": frames}
 
     def sentence(self) -> str:
-        """The same in words."""
+        """Return the alarms in words."""
         return (
             f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
             f"safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames; research software, not a "

@@ -65,7 +65,7 @@ class Batch:
         self.store = store.ResultStore(options.output)
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
-        """Estimate a clip and write its results; arguments as of `attempt`."""
+        """Estimate a clip and write its results; arguments as in `attempt`."""
         kind: Any = SequenceClip if is_sequence(path) else VideoClip
         clip = kind(path, self)
         folder = self.folders.get(path) or self.store.folder(clip.name, path)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "camera")
 """File of the last frame's particles, and fields of sequence.yaml that name a file."""
 PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
-"""Of particles.csv, before what is found at each [m]."""
+"""Columns of places in particles.csv, before what is found at each [m]."""
 
 
 def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _numbers(field: ParticleField) -> dict[str, Any]:
 
 
 def _values(field: ParticleField) -> dict[str, Any]:
-    """Of every particle: both stiffnesses with the ends of their intervals where they are known."""
+    """Return both stiffnesses with the ends of their intervals where they are known."""
     found: dict[str, Any] = {}
     for column, fitted in field.maps.items():
         name = column.removeprefix("distance_")

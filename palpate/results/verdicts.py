@@ -18,7 +18,7 @@ class Note:
     """Meaning of a verdict or a status, and what to do about it."""
 
     color: Color
-    """The same in all pictures (RGB); only `determined` is green."""
+    """Colour, the same in all pictures (RGB); only `determined` is green."""
     words: str
     """The verdict or status as pictures and pages show it."""
     text: str = ""

@@ -25,7 +25,7 @@ Floor = tuple[int, float] | None
 Longest = Callable[[np.ndarray], np.ndarray]
 """How long edges may be at most around places [P, 3], shape [P], positive [m]."""
 GROWTH = 0.5
-"""Of edges' length by the distance from what they crowd around."""
+"""Growth of edges' length by the distance from what they crowd around."""
 
 
 def around(places: np.ndarray, radius: float, edge: float) -> Longest:
@@ -89,7 +89,7 @@ _CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 _EVEN = np.array([[0, 4, 2, 1], [6, 2, 4, 7], [5, 1, 7, 4], [3, 1, 2, 7], [1, 4, 2, 7]])
 """Corners of the five tetrahedra of a cell, as rows of `_CORNERS`."""
 _ODD = (_EVEN ^ 4)[:, [0, 2, 1, 3]]
-"""Of its neighbours: mirrored, so that the diagonals of shared faces agree."""
+"""Tetrahedra of every other cell: mirrored, so that the diagonals of shared faces agree."""
 
 
 def fill_cells(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -127,7 +127,7 @@ def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tup
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
 _OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
-"""Of the rays from the cells' centres, in cells: on the grid they would meet edges."""
+"""Offset of the rays from the cells' centres, in cells: on the grid they would meet edges."""
 
 
 class NoBody(ValueError):

@@ -36,7 +36,7 @@ def rows_needed(triangles: np.ndarray, spacing: float) -> int:
 
 
 def areas(triangles: np.ndarray) -> np.ndarray:
-    """Of triangles [F, 3, 3], shape [F]."""
+    """Return the areas of triangles [F, 3, 3], shape [F]."""
     one, two, three = np.moveaxis(triangles, 1, 0)
     return np.linalg.norm(np.cross(two - one, three - one), axis=1) / 2
 

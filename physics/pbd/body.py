@@ -170,5 +170,5 @@ def layered(upper: np.ndarray, faces: np.ndarray, below: np.ndarray, layers: int
 
 
 def _normals(corners: np.ndarray) -> np.ndarray:
-    """Of triangles [F, 3, 3], towards where they are anticlockwise, shape [F, 3]."""
+    """Return the normals of triangles [F, 3, 3], towards where they are anticlockwise, shape [F, 3]."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

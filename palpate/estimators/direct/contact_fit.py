@@ -84,7 +84,7 @@ def concluded(
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
-    """Of several draws' information, each [3, 3], one than which a share TRUST of them is at least as telling.
+    """Return the one of several draws' information [3, 3] that a share TRUST of them equals or exceeds.
 
     How much a motion tells depends on θ itself. A verdict at the mean alone would be as uncertain as that.
     """
@@ -125,7 +125,7 @@ def field_optima(problem: SequenceProblem, tissue: np.ndarray) -> list[Optimum]:
 
 
 def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
-    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `field_optima`."""
+    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as in `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
@@ -147,7 +147,7 @@ def fit_press(
     chance (Schwarz 1978).
 
     Args:
-        contact, mechanics, within, noise: as of `SequenceProblem`.
+        contact, mechanics, within, noise: as in `SequenceProblem`.
         tissue: the box of φ, shape [2, 3].
         tries: how often the contact may be moved to the vertex at which the dent seems to lie.
     """
@@ -224,14 +224,14 @@ def field_starts(problem: SequenceProblem, box: np.ndarray) -> np.ndarray:
 
 
 def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Of starts [S, D] those that lead farthest, and where to: at most FITS, by successive halving.
+    """Refine starts [S, D] and keep the best, FITS at most, by successive halving.
 
     Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
     half.
 
     Args:
         problem: of coarse time steps.
-        starts: as of `field_starts`; FITS of them or fewer stay as they are.
+        starts: as in `field_starts`; FITS of them or fewer stay as they are.
         box: of all parameters, shape [2, D].
     """
     while len(starts) > FITS:

@@ -32,7 +32,7 @@ STILL_NEW = 0.05
 WALL = 0.08
 """Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it."""
 PARTIAL = 0.3
-"""The same beside what an instrument hides: there a pixel of the grid is the mean of a part of its area."""
+"""Standard deviation beside what an instrument hides: there a pixel of the grid is the mean of a part of its area."""
 STEP = math.sqrt(12)
 """Rounding step whose error has a standard deviation of σ [σ]."""
 ROUNDING_REACH, INDEPENDENT = 3.0, 0.2
@@ -49,7 +49,7 @@ class SequenceProblem(LeastSquares):
     Args:
         contact: with a depth-change sequence of one frame or more.
         mechanics: of the fits.
-        within: as of `PressMotion`.
+        within: as in `PressMotion`.
         noise: σ of every pixel in every frame [scene units]; None = as the depth-change sequence says.
         kind: of motion: what is fitted of the press.
     """
@@ -95,7 +95,7 @@ class SequenceProblem(LeastSquares):
         self.offset = self.motion.finer(logs) - moved if finer else 0.0
         moved = moved + self.offset
         self.covering = self.patches.covering(moved)
-        """Of `Patches`, shape [N, P, K]."""
+        """Cover of the pixels as `Patches` gives it, shape [N, P, K]."""
         self._turning = self.patches.turning(moved, slopes)
         self._looked_at = np.array(logs)
         change, total = self.change(moved, logs), self.sequence.noise.total
@@ -116,7 +116,7 @@ class SequenceProblem(LeastSquares):
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 
     def model_errors(self, sunk: np.ndarray) -> np.ndarray:
-        """What the model itself gets wrong, as of `PressMotion`."""
+        """What the model itself gets wrong, as in `PressMotion`."""
         return self.motion.model_errors(sunk, self.patches.averages)
 
     def _whitening(self, sunk: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -165,7 +165,7 @@ class SequenceProblem(LeastSquares):
         return self.change(moved, logs), tangent + self._turning
 
     def left(self, moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
-        """Whitened simulated minus observed change; arguments as of `change`."""
+        """Whitened simulated minus observed change; arguments as in `change`."""
         return self.whitened(self.change(moved, logs) - self.observed)
 
     def change(self, moved: np.ndarray, logs: np.ndarray) -> np.ndarray:
@@ -189,7 +189,7 @@ class SequenceProblem(LeastSquares):
         return float(np.sqrt(np.square(left / sigma).mean())) if len(left) else 0.0
 
     def coarser(self) -> SequenceProblem:
-        """The same with coarse time steps, to search with; it has not looked at anything of its own yet."""
+        """Return the problem with coarse time steps, to search with; it has not looked at anything of its own yet."""
         found = copy.copy(self)
         found.motion = self.motion.coarser()
         return found

@@ -32,7 +32,7 @@ class ContactProblem(Likelihood):
         contact: one followed point, seen at every instant.
         mechanics: of the fits.
         noise: σ of every observed coordinate [scene units].
-        within: as of `PressMotion`: delays of the press are parameters besides φ where it is above 0.
+        within: as in `PressMotion`: delays of the press are parameters besides φ where it is above 0.
         kind: of motion: what is fitted of the press.
     """
 
@@ -84,7 +84,7 @@ def suiting_forces(
 
     Args:
         paths: C motions, shape [C, ...]; what isn't a number counts for nothing.
-        observed: shape as of one motion.
+        observed: shape as in one motion.
         forces: log |F| by which the motions were simulated, shape [C].
         low, high: ends of log |F|.
 

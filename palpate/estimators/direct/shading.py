@@ -30,9 +30,9 @@ from palpate.physics.observation import Observation
 FREEDOM = 3.0
 """Degrees of freedom of Student's errors: highlights that moved and wrong outlines are no normal errors."""
 AMPLITUDE = 0.25
-"""The same of every place, common to all frames: its gloss and albedo are its own."""
+"""Standard deviation of every place's amplitude, common to all frames: its gloss and albedo are its own."""
 LEAST_NOISE = 0.004
-"""Of the logarithm of light: a level of 8 bits in brightly lit tissue."""
+"""Least noise of the logarithm of light: a level of 8 bits in brightly lit tissue."""
 ASIDE, TILT = 2.0, 0.2
 """Priors' standard deviations: of the dent's middle by axis [grid pixels], of the tilt's tangents."""
 ROUNDING, ROUNDING_SD = 0.53, 0.3
@@ -75,7 +75,7 @@ class ShadingProblem(LeastSquares):
     Args:
         contact: a run of contact with its brightness sequence; of its mesh only the outline and the distance count.
         mechanics: of the fits.
-        within: as of `PressMotion`.
+        within: as in `PressMotion`.
         tilt: of the plane whose mesh is simulated, right and down, as tangents.
         kind: what is unknown of the press.
     """

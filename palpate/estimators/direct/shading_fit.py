@@ -52,7 +52,8 @@ which inertia alone tells. Twelve synthetic clips are 0.21 and 0.29 off and, in 
 `python -m data.synthetic --clips 12 --frames 32 --seed 47712`, their MP4 by `infer.py --estimator direct`, then
 `python -m benchmarks.compare_with_truth`. Of path-traced clips `python -m benchmarks.path_traced` says it."""
 RADIUS, RISING = 3.0, 0.05
-"""Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
+"""Radius of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s /
+s]."""
 Start = TypeVar("Start")
 Fitted = TypeVar("Fitted")
 WITHIN = 1.5

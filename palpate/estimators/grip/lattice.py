@@ -64,7 +64,7 @@ class SheetFit:
     squares: np.ndarray
     """Sum of squared errors around the grip, with the given background, shape [A, T] [px²]."""
     refitted: np.ndarray
-    """The same with the background fitted in every frame, shape [A, T] [px²]."""
+    """Sum of squared errors with the background fitted in every frame, shape [A, T] [px²]."""
     motion: np.ndarray
     """Sum of squared displacements around the grip less the given background, shape [T] [px²]."""
     counts: np.ndarray

@@ -32,7 +32,7 @@ class _Kept(NamedTuple):
     moved: np.ndarray
     """Displacement of the points, shape [N, 2] [px]; NaN where a point is lost."""
     own: np.ndarray
-    """The same less the background's motion."""
+    """Motion less the background's motion."""
 
 
 class GripRecorder:

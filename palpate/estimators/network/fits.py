@@ -63,7 +63,7 @@ class DepthSequences:
 
 
 class Fitted(NamedTuple):
-    """What explains one contact; other arrays as of `Fits`, without N."""
+    """What explains one contact; other arrays as in `Fits`, without N."""
 
     logs: np.ndarray
     slopes: np.ndarray

@@ -62,13 +62,14 @@ class _PointComparison:
 
 
 class _PixelComparison:
-    """The pixels around the contact that move; names as of `_PointComparison`."""
+    """The pixels around the contact that move; names as in `_PointComparison`."""
 
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
         patches = Patches(contact.mesh, contact.vertex, sequence.size, PIXEL_RADIUS)
         self._patches, self.times, self._noise = patches, sequence.times, sequence.noise.total
         self.blurs = np.zeros((0, 2))
-        """Of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest displacements."""
+        """Change of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest
+        displacements."""
         near = np.s_[REACH - PIXEL_RADIUS : REACH + PIXEL_RADIUS + 1]
         self._change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
         self.vertices = np.append(contact.vertex, patches.vertices)
@@ -195,7 +196,7 @@ def _with_delays(
     prior: np.ndarray,
 ) -> tuple[float, tuple[float, float], bool]:
     """Root mean square of the residual [σ] with the delays that fit best near some start, these delays [s], and whether
-    the dent is blurred, as of `compared`.
+    the dent is blurred, as in `compared`.
 
     Args:
         lasting: displacements under a press that lasts, and their derivatives by φ, shape [T, M, 3, 4].

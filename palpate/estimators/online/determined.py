@@ -52,7 +52,7 @@ edges of 8.9 mm. It goes with the inverse of their fourth power, since a volume'
 
 
 def uniform(body: Body, distance: float, shape: float) -> Stiffness:
-    """The same everywhere; of volumes as the paper's, in whatever unit."""
+    """Return one stiffness everywhere; of volumes as the paper's, in whatever unit."""
     edge = float(body.layout.rest[body.kinds[0]].mean())
     return Stiffness(np.full(body.count, distance), np.full(body.count, shape), VOLUME / edge**4)
 
@@ -98,7 +98,7 @@ class Fitting:
         """Over the motion, of every frame in which points move, by what is given and by all combinations."""
 
     def step(self, places: np.ndarray, seen: np.ndarray) -> None:
-        """Lead all on, and compare them with a frame; arguments as of `Determined.step`."""
+        """Lead all on, and compare them with a frame; arguments as in `Determined.step`."""
 
         def stepped(group: tuple[Objective, Stiffness], states: np.ndarray) -> np.ndarray:
             return group[0].stepped(group[1], states, places[None]).positions[:, -1]
@@ -138,11 +138,12 @@ depended on that. On twelve drawn pulls 0, 1, 2 and 3 made no difference to how 
 LONGEST = 0.3
 """Longest step of a knot's logarithm a frame."""
 STEPPED = "time_step", "foundation"
-"""Of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in large steps."""
+"""Uncertain parameters of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in
+large steps."""
 CHANGE = 0.01
-"""Of log stiffness, for finite differences."""
+"""Change of log stiffness, for finite differences."""
 ROUNDS = 4
-"""Of finding the likeliest values and, with them, the noise."""
+"""Rounds of finding the likeliest values and, with them, the noise."""
 NOISE = 0.3
 """Followed points err by as much at least, by axis [px]."""
 
@@ -174,16 +175,16 @@ class Determined:
         self._shared = np.zeros_like(self._squares)
         self._points = np.zeros(stretch.shape[1])
         self._axes = 2
-        """Of every cell, over frames: squares and products, summed over its points, of what is observed less what the
-        fields to begin with would show, then of its derivatives; the same of their means over points, times their
-        number; and that."""
+        """Axes of the picture. Before it, for every cell over frames: squares and products, summed over its
+        points, of what is observed less what the first fields would show, then of its derivatives; the same of
+        their means over points, times their number; and that number."""
         self._frames = 0
         self._motion = self._left = 0.0
         self.moved = self.predicted = np.zeros((len(self._cell), 2))
         """Displacement of the points in the last frame that shows some, and by the instrument alone, [Q, 2] [px]."""
         self.course = [(0.0, 0.0, 0.0)]
-        """Of every frame, rest first, how far points have moved, by the instrument alone, and the difference of both,
-        root mean squares [px]; not a number where none is seen."""
+        """Course of every frame, rest first, how far points have moved, by the instrument alone, and the difference of
+        both, root mean squares [px]; not a number where none is seen."""
 
     @property
     def skill(self) -> float:

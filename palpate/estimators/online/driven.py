@@ -83,7 +83,7 @@ class DrivenTissue:
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
         self.settings = settings
-        """As given, or what was fitted."""
+        """Settings as given, or what was fitted."""
         self.session = Session(objective, begun, settings.method)
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         """What the instrument alone explains."""

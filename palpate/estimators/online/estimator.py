@@ -132,7 +132,7 @@ class _Followed:
         return FieldResult(self.field(), times, course, bool(driven.stretched.any()), driven, skills)
 
     def field(self) -> ParticleField:
-        """As it is now."""
+        """Return the field as it is now."""
         surface, session = self._driven.surface, self._driven.session
         size = surface.camera.height, surface.camera.width
         pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)

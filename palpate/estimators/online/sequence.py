@@ -60,7 +60,8 @@ class SequenceTissue:
             yield frame, self._field(gap)
 
     def _moved(self, frame: int) -> np.ndarray:
-        """Of the followed points since rest, in the view's picture and away from its eye, shape [P, 3] [px]."""
+        """Return the motion of the followed points since rest, in the view's picture and away from its eye, shape [P,
+        3] [px]."""
         if self._points is None:
             return np.empty((0, 3))
         rest, now = self._points[self._begin, self._followed], self._points[frame, self._followed]
@@ -74,7 +75,7 @@ class SequenceTissue:
         return moved(self.surface.body.rest[self.surface.gripped], motion)
 
     def _field(self, gap: float | None) -> ParticleField:
-        """As it is now, in the sequence's frame."""
+        """Return the field as it is now, in the sequence's frame."""
         surface, session, back = self.surface, self.driven.session, np.linalg.inv(self._view)
         tissue = moved(surface.body.rest, back), surface.faces, surface.body.tetrahedra, moved(session.positions, back)
         maps = map(StiffnessMap, session.fields[:2], *self.driven.determined())

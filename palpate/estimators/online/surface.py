@@ -32,9 +32,9 @@ class Surface:
     gripped: np.ndarray
     """Particles that an instrument moves, shape [G]."""
     pixels: np.ndarray
-    """Of the particles at rest, shape [N, 2] (column, row) [px of the followed picture]."""
+    """Places of the particles at rest, shape [N, 2] (column, row) [px of the followed picture]."""
     camera: Camera
-    """Of the followed picture."""
+    """Camera of the followed picture."""
     reach: float
     """Tissue that began nearer to a tool moves with it [px]."""
 

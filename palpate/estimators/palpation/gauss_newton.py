@@ -47,7 +47,7 @@ class State:
 
 
 def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[State]:
-    """Of simulated bodies, as they would be with all displacements so many times larger."""
+    """Return states of simulated bodies, as they would be with all displacements so many times larger."""
     states: dict[int, State] = {}
     for rest in rests:
         if id(rest) in states:  # one press seen several times
@@ -211,7 +211,7 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
         bench: the body.
         begun: E [Pa], ν, and what is known so far, its steps not made yet; without bodies, by the linear law, to which
             there is no way back.
-        report: as of `fit_material`.
+        report: as in `fit_material`.
 
     Raises:
         NoEquilibrium: as `fit_material`.

@@ -21,7 +21,7 @@ from palpate.physics.fem.curved import curve
 from palpate.physics.fem.meshing import around
 
 FORCES = 1e-6, 1e4
-"""Of what a hand or an instrument presses with [N]."""
+"""Forces of what a hand or an instrument presses with [N]."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
 BODY, REACH = 2.0, 10.0
@@ -47,7 +47,7 @@ class SceneFile(Checked):
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
     # Cells along the longest side; unknowns grow with their cube.
     cells: Annotated[int, 2, 24] = 8
-    """Of the mesh along the surface's longest side."""
+    """Number of cells of the mesh along the surface's longest side."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -68,7 +68,7 @@ class PalpationFile:
     points: str
     """CSV file next to this one, with columns x, y, z [m], in the sensor's frame."""
     pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
-    """Of the sensor as it is believed."""
+    """Pose of the sensor as it is believed."""
     tool_radius: float = Palpation.tool_radius
     hole: float = Palpation.hole
     pose_shift: float = Palpation.pose_shift

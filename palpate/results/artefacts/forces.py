@@ -58,7 +58,7 @@ class ContactForce:
     why: str
     """Why it is unknown somewhere."""
     pressed: np.ndarray
-    """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
+    """Force profile of a press, its force over F, where that was observed, shape [T]: with F it is the force."""
     direction: np.ndarray | None
     """Unit vector of a press's force on the tissue, shape [3], in the camera's axes; nobody knows a pull's."""
     ratio: Quantity | None

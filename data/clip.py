@@ -265,8 +265,8 @@ class ClipStream:
     def _judge(self, prepared: PreparedFrame, depth_error: str) -> PreparedFrame:
         """Contact and mesh, or the status that says why there is none."""
         try:
-            seen = prepared.depth, prepared.labels, self.camera, self.settings.geometry
-            geometry = frame_geometry(*seen, ends=prepared.ends)
+            view = prepared.depth, prepared.labels, self.camera, self.settings.geometry
+            geometry = frame_geometry(*view, ends=prepared.ends)
         except GeometryStatus as status:
             prepared.status, prepared.distance = status.status, status.distance
             prepared.detail = depth_error if status.status == "bad_depth" and depth_error else status.detail

@@ -55,8 +55,8 @@ def estimate(
             raise TypeError(f"the clip is open already; give {', '.join(choices)} to open_clip.")
     else:
         clip = open_clip(clip, opened, **choices)
-    said = estimates_of(opened.start(ClipInfo.of(clip)), clip)
-    return [item for item in said if isinstance(item, InteractionEstimate)]
+    outputs = estimates_of(opened.start(ClipInfo.of(clip)), clip)
+    return [item for item in outputs if isinstance(item, InteractionEstimate)]
 
 
 def calibrate(scene: str | Path) -> MaterialFit:

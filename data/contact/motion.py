@@ -165,11 +165,11 @@ class ContactMotion:
             with contextlib.suppress(GeometryStatus):
                 noise = self._noise(onset)
                 rest = self._rest.at(onset)
-                seen, given = (onset.depth, onset.labels), (self.camera, self.settings, rest)
+                shown, given = (onset.depth, onset.labels), (self.camera, self.settings, rest)
                 if onset.press is not None:
-                    resting = dent_geometry(*seen, onset.contact.pixel, *given)
+                    resting = dent_geometry(*shown, onset.contact.pixel, *given)
                 else:
-                    resting = frame_geometry(*seen, *given, onset.ends)
+                    resting = frame_geometry(*shown, *given, onset.ends)
                 onset.geometry = dataclasses.replace(resting, noise=noise)
         pixel = picture_pixel(onset, self.size)
         template = self._tracker.template(onset.view, pixel)

@@ -71,8 +71,8 @@ def shaft_edges(tool: np.ndarray) -> tuple[Edge, Edge] | None:
     if one is None or other is None:
         return None
     least = max(LEAST_EDGE, LEAST_LENGTHS * abs(one.normal @ (one.place - other.place)))
-    seen = min(one.length, other.length) > least and one.normal @ other.normal < -math.cos(LARGEST_ANGLE)
-    return (one, other) if seen else None
+    facing = min(one.length, other.length) > least and one.normal @ other.normal < -math.cos(LARGEST_ANGLE)
+    return (one, other) if facing else None
 
 
 def _edge(points: np.ndarray, outwards: np.ndarray) -> Edge | None:

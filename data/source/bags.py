@@ -143,8 +143,8 @@ def _decompressed(content: bytes, label: str, named: str) -> np.ndarray:
     except InputError as error:
         video = content.startswith((b"\0\0\1", b"\0\0\0\1"))
         kind = "holds H.264 or H.265 video" if video else "can't be decoded as JPEG or PNG"
-        said = f"{named} (format '{plain(label)[:60]}') {kind}"
-        raise InputError(f"{said}; record JPEG or PNG, or convert the topic by `image_transport republish`.") from error
+        what = f"{named} (format '{plain(label)[:60]}') {kind}"
+        raise InputError(f"{what}; record JPEG or PNG, or convert the topic by `image_transport republish`.") from error
 
 
 def camera_entries(path: Path, topic: str | None) -> dict[str, Any] | None:

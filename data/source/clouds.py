@@ -34,8 +34,8 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
             raise ValueError(f"its points have shape {points.shape}, not {('m', *shape)}, or none is finite")
     except Exception as error:  # those of the libraries on broken content have nothing in common
         why = reason(error).rstrip(".")
-        said = f"can't be read as points ({why}); give a PLY or NPZ file of x, y, z"
-        raise InputError(f"{printable(path)} {said}.") from error
+        problem = f"can't be read as points ({why}); give a PLY or NPZ file of x, y, z"
+        raise InputError(f"{printable(path)} {problem}.") from error
     return points
 
 

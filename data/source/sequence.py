@@ -113,8 +113,8 @@ class Sequence:
             return moved(points[np.isfinite(points).all(axis=1)], self.eye(frame))
         depth = read_image(file, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(self.given.depth_factor)
         if depth.shape != (camera.height, camera.width):
-            said = f"holds no depth of {camera.width}x{camera.height}, the size in {self.given.camera}"
-            raise InputError(f"{printable(file)} {said}; give depth pictures of one channel, and their camera.")
+            why = f"holds no depth of {camera.width}x{camera.height}, the size in {self.given.camera}"
+            raise InputError(f"{printable(file)} {why}; give depth pictures of one channel, and their camera.")
         depth = Undistortion(camera).depth(depth) if any(camera.distortion) else depth
         return moved(back_project(depth, camera)[depth > 0].astype(np.float64), self.eye(frame))
 
@@ -195,8 +195,8 @@ def is_sequence(path: Path) -> bool:
 def _require_reach(path: Path, rows: np.ndarray, times: np.ndarray) -> None:
     """Raise an InputError unless a table's rows [s] reach over times of frames [s]."""
     if times[0] < rows[0] - ROUNDED or times[-1] > rows[-1] + ROUNDED:
-        said = f"reaches from {rows[0]:g} to {rows[-1]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
-        raise InputError(f"{printable(path)} {said}; put both on one clock.")
+        why = f"reaches from {rows[0]:g} to {rows[-1]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
+        raise InputError(f"{printable(path)} {why}; put both on one clock.")
 
 
 def open_sequence(path: Path) -> Sequence:
@@ -214,8 +214,8 @@ def open_sequence(path: Path) -> Sequence:
     else:
         times = (np.array(numbers) - min(numbers, default=0)) / (given.fps or 1.0)
     if len(files) < 2 or len(times) != len(files):
-        said = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
-        raise InputError(f"{where} {said}; give 2 at least, their {{number}} in the files' names, and a time for each.")
+        why = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
+        raise InputError(f"{where} {why}; give 2 at least, their {{number}} in the files' names, and a time for each.")
     low, high = given.gripped_s or (times[0], times[-1])
     held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
     if len(held) < 2:

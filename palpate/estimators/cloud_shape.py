@@ -42,8 +42,8 @@ class CloudShape:
     """
 
     def __init__(self, cloud: np.ndarray, what: str) -> None:
-        said = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
-        self._cloud, self._sparse = cloud, InputError(said)
+        problem = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
+        self._cloud, self._sparse = cloud, InputError(problem)
         if len(cloud) < NEIGHBOURS:
             raise self._sparse
         self._tree = KDTree(cloud[:, :2])

@@ -56,8 +56,8 @@ class ClipLength:
         metres, log_sd, by = clip.metres or (None, 0.0, "")
         unit = None if metres is None else clip.scale * metres
         if unit is not None and clip.sources["depth"] == "stored" and not NEAREST <= unit <= FARTHEST:
-            said = f"by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres."
-            raise InputError(f"{clip.source.path}: {said}")
+            problem = f"by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres."
+            raise InputError(f"{clip.source.path}: {problem}")
         return cls(clip.scale, unit, log_sd, by)
 
     @property

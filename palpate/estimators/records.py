@@ -198,11 +198,11 @@ class InteractionEstimate:
             fit = press.noise, press.misfit
         frames = 0 if contact is None else len(contact.observation)
         frames = frames if self.beside is None else len(self.beside.times)
-        said = ("", "", "") if found is None else (found.verdict, ";".join(found.determined), found.explanation)
+        conclusion = ("", "", "") if found is None else (found.verdict, ";".join(found.determined), found.explanation)
         status = "no_estimate" if found is None else "ok"
         observed = Onset(self.onset_frame, self.onset_time_s), Followed(self.instrument, frames, self.load_s)
         pressed = () if press is None else (press.course, press.numbers)
-        return *observed, *pressed, Outcome(self.skill, *said, *fit, stuck, status, self.detail)
+        return *observed, *pressed, Outcome(self.skill, *conclusion, *fit, stuck, status, self.detail)
 
 
 FRAMES = Table.of(FrameEstimate)

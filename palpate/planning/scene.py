@@ -109,14 +109,14 @@ class Placed:
         """
         lengths = np.linalg.norm(ends - starts, axis=1)
         ways = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
-        gone, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
+        travelled, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
         open_lines = np.arange(len(starts))
         for _ in range(400):
-            left = self.clearance(starts[open_lines] + gone[open_lines, None] * ways[open_lines]) - radius
+            left = self.clearance(starts[open_lines] + travelled[open_lines, None] * ways[open_lines]) - radius
             there = left < TOUCH
-            touched[open_lines[there]] = gone[open_lines[there]]
-            gone[open_lines] += np.maximum(left, TOUCH)
-            open_lines = open_lines[~there & (gone[open_lines] <= lengths[open_lines])]
+            touched[open_lines[there]] = travelled[open_lines[there]]
+            travelled[open_lines] += np.maximum(left, TOUCH)
+            open_lines = open_lines[~there & (travelled[open_lines] <= lengths[open_lines])]
             if not len(open_lines):
                 break
         return touched

@@ -45,15 +45,15 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
     costs = PressingCosts(scene, known)
     for name in ("start", "goal", "port"):
         place = getattr(costs, name)
-        said = f"{name} {place.tolist()}"
+        label = f"{name} {place.tolist()}"
         if np.linalg.norm(place - np.clip(place, *costs.corners)) > FAR:
-            raise InputError(f"{said} lies over {FAR:g} m from {scene.mesh}; give it in metres.")
+            raise InputError(f"{label} lies over {FAR:g} m from {scene.mesh}; give it in metres.")
         if name != "goal" and costs.distance(place[None])[0] < 0:
-            raise Blocked(f"{said} lies inside the tissue; move it out.")
+            raise Blocked(f"{label} lies inside the tissue; move it out.")
         if name != "port" and not np.isfinite(costs.loads(place[None])[0])[0]:
-            raise Blocked(f"at the {said} tip or shaft would go through the tissue; move it or the port.")
+            raise Blocked(f"at the {label} tip or shaft would go through the tissue; move it or the port.")
         if name != "port" and not np.isfinite(costs.price(place[None], place[None]))[0]:
-            raise Blocked(f"at the {said} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
+            raise Blocked(f"at the {label} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
     return costs, found
 
 

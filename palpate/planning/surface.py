@@ -47,8 +47,8 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
         mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
         size = float(mesh.apply_scale(UNITS[unit]).extents.max())
     except Exception as error:  # each format's reader raises its own
-        said = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
-        raise InputError(f"{printable(path)} {said}") from error
+        problem = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
+        raise InputError(f"{printable(path)} {problem}") from error
     if not SIZES[0] <= size <= SIZES[1]:
         metres = {each: size / UNITS[unit] * scale for each, scale in UNITS.items()}
         likely = " or ".join(each for each, length in metres.items() if SIZES[0] <= length <= SIZES[1])
@@ -56,8 +56,8 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     low, high = mesh.bounds[0] - 2 * radius, mesh.bounds[1] + 2 * radius
     step = max(radius / 3, float((np.prod(high - low) / 2_000_000) ** (1 / 3)))
     if step > 1.5 * radius:
-        said = f"is {size:.3g} m long, too large beside a tip of {radius:g} m; cut out the part that it works in."
-        raise InputError(f"{printable(path)} {said}")
+        problem = f"is {size:.3g} m long, too large beside a tip of {radius:g} m; cut out the part that it works in."
+        raise InputError(f"{printable(path)} {problem}")
     fine = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, step, max_iter=20))
     places, normals = fine.triangles_center, fine.face_normals
 

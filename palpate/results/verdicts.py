@@ -80,11 +80,11 @@ ALARMS: dict[str, tuple[str, Color | None]] = {
 """What is said of the alarm, and the colour of the picture's edge."""
 
 
-def state(said: FrameEstimate | InteractionEstimate) -> str:
-    """What is said first about a frame or a run of contact: its verdict, or why it has none."""
-    if isinstance(said, FrameEstimate):
-        return said.verdict or said.status
-    return said.verdict or "no_estimate"
+def state(result: FrameEstimate | InteractionEstimate) -> str:
+    """Return the verdict of a frame or a contact, or why it has none."""
+    if isinstance(result, FrameEstimate):
+        return result.verdict or result.status
+    return result.verdict or "no_estimate"
 
 
 def in_words(name: str) -> str:

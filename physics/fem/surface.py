@@ -17,10 +17,10 @@ def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     import trimesh  # takes a second
 
     corners = triangles.reshape(-1, 3, 3)
-    seen = np.broadcast_to(points, (*triangles.shape[:-2], 3)).reshape(-1, 3)
+    spread = np.broadcast_to(points, (*triangles.shape[:-2], 3)).reshape(-1, 3)
     sizes = np.ptp(corners, axis=1).max(axis=1)[:, None]  # to trimesh 1e-14 is nothing, whatever the unit
     corners = corners / sizes[..., None]
-    places = trimesh.triangles.closest_point(corners, seen / sizes)
+    places = trimesh.triangles.closest_point(corners, spread / sizes)
     return trimesh.triangles.points_to_barycentric(corners, places, method="cross").reshape(triangles.shape[:-1])
 
 

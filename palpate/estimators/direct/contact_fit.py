@@ -235,15 +235,15 @@ def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.n
         box: of all parameters, shape [2, D].
     """
     while len(starts) > FITS:
-        led = []
+        refined = []
         for logs in starts:
             problem.look(logs)
             # Evaluations of a start in a round, after which it is decided anew what the pixels show.
             found = find_optimum(problem, logs, box, 4)
             # What comes out of sight must not seem explained.
-            led.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
-        led.sort(key=lambda pair: pair[0])
-        starts = np.array([logs for _, logs in led[: len(led) // 2]])
+            refined.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
+        refined.sort(key=lambda pair: pair[0])
+        starts = np.array([logs for _, logs in refined[: len(refined) // 2]])
     return starts
 
 

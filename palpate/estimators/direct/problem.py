@@ -91,8 +91,8 @@ def suiting_forces(
     Returns:
         log |F|, and the sum of the squares that are left unexplained, shape [C] each.
     """
-    seen = np.isfinite(paths) & np.isfinite(observed)
-    tried, wanted = (np.where(seen, each, 0.0).reshape(len(paths), -1) for each in (paths, observed))
+    valid = np.isfinite(paths) & np.isfinite(observed)
+    tried, wanted = (np.where(valid, each, 0.0).reshape(len(paths), -1) for each in (paths, observed))
     factors = (tried * wanted).sum(axis=1) / np.maximum(np.square(tried).sum(axis=1), 1e-30)
     found = np.clip(forces + np.log(np.maximum(factors, 1e-9)), low, high)
     return found, np.square(np.exp(found - forces)[:, None] * tried - wanted).sum(axis=1)

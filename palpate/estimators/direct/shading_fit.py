@@ -85,10 +85,10 @@ def fit_shading(
     some = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
     thin = dataclasses.replace(contact, shading=sequence.chosen(some))
     problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
-    led = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
-    if not led:
+    refined = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
+    if not refined:
         raise NoEstimate("The contact is too short to show in the light.")
-    logs = min(led, key=lambda found: found[0])[1]
+    logs = min(refined, key=lambda found: found[0])[1]
     problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
     problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])

@@ -185,11 +185,11 @@ class OnlineSession(RunSession):
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is not None and len(contact.observation) == 0:
             contact = None
-        said, found = self._reason, None
+        reason, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
             undriven = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
-            said = " ".join(filter(None, (found.explanation or undriven, self._driven.fitted)))
+            reason = " ".join(filter(None, (found.explanation or undriven, self._driven.fitted)))
         alone = "Relative stiffness place by place (fields.npz) is told; no k_s, k_d or F."
-        detail = " ".join(filter(None, (run.detail, said, alone)))
+        detail = " ".join(filter(None, (run.detail, reason, alone)))
         return run.estimate(interaction=contact, field=found, detail=detail)

@@ -83,10 +83,10 @@ class Tracks:
         """
         if np.shape(observed) != (places.shape[0], 3):
             raise ValueError(f"observed has shape {np.shape(observed)}; give {(places.shape[0], 3)}.")
-        seen = np.isfinite(observed).all(axis=1)
-        if not seen.any():
+        visible = np.isfinite(observed).all(axis=1)
+        if not visible.any():
             raise ValueError("none of the followed points is seen.")
-        self.places, self.observed = places[np.flatnonzero(seen)], np.asarray(observed, np.float64)[seen]
+        self.places, self.observed = places[np.flatnonzero(visible)], np.asarray(observed, np.float64)[visible]
         self._curved = (2 / len(self.observed) * (self.places.T @ self.places)).tocsr()
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
@@ -210,8 +210,8 @@ class Bounds(Checked, group="the bound of "):
         for name, values, bound in zip(("distance", "shape"), fields[:2], (self.distance, self.shape), strict=True):
             share = np.asarray(values, np.float64) / bound
             if not ((share > 0) & (share < 1)).all():
-                said = f"a stiffness of {name} begins on its bounds, 0 and {bound:g}, or outside"
-                raise ValueError(f"{said}; begin inside.")
+                problem = f"a stiffness of {name} begins on its bounds, 0 and {bound:g}, or outside"
+                raise ValueError(f"{problem}; begin inside.")
             found.append(np.log(share / (1 - share)))
         return np.stack(found)
 

@@ -98,8 +98,8 @@ class SequenceTissue:
             pinned = ((boxes[:, 0] <= places) & (places <= boxes[:, 1])).all(axis=2).any(axis=0)
         pinned &= ~driven
         if not pinned.any() or (pinned | driven).all():
-            said = "holds no free tissue in its pins' boxes, or all; change them, in the poses' frame and `unit`"
-            raise InputError(f"{printable(sequence.path)} {said}.")
+            problem = "holds no free tissue in its pins' boxes, or all; change them, in the poses' frame and `unit`"
+            raise InputError(f"{printable(sequence.path)} {problem}.")
         if settings.thickness is None:
             body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
         else:

@@ -163,6 +163,6 @@ def volume_below(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) 
     rest, tetrahedra = layered(upper, faces, below, layers)
     merged = (np.diff(rest.reshape(layers, -1, 3), axis=0) == 0).all(axis=2).any()  # by rounding
     if merged or len(tetrahedra) == 0:
-        said = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
-        raise NoEstimate(f"{said}; give the tissue's, or null for a sheet.")
+        problem = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
+        raise NoEstimate(f"{problem}; give the tissue's, or null for a sheet.")
     return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))

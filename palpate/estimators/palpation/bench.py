@@ -97,8 +97,8 @@ class Bench:
         closest place isn't, and is closer wherever the surface bends.
         """
         sights = self.sights[which] @ pose[:3, :3].T
-        seen = moved(self.palpations[which].points, pose)
-        match = Match.along(seen, sights, vertices, self.skin.triangles)
+        placed = moved(self.palpations[which].points, pose)
+        match = Match.along(placed, sights, vertices, self.skin.triangles)
         return match, (match.normal * sights).sum(axis=1)
 
     def counting(self, match: Match, cosine: np.ndarray, which: int) -> np.ndarray:

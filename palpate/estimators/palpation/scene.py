@@ -136,8 +136,8 @@ def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:
     points = read_columns(folder / each.points, ("x", "y", "z"), "table of points")
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < FEWEST:
-        said = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
-        raise InputError(f"{printable(folder / each.points)} {said}.")
+        why = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
+        raise InputError(f"{printable(folder / each.points)} {why}.")
     _require_metres(folder / each.points, points)
     sizes = each.tool_radius, each.hole, each.pose_shift, each.pose_turn
     return Palpation(np.array(each.force), np.array(each.contact), points, np.array(each.pose, np.float64), *sizes)
@@ -164,8 +164,8 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
         how = {"process": False, "maintain_order": True, "skip_materials": True}
         mesh = trimesh.load_mesh(content, file_type="obj", **how)
     except Exception as error:  # the library's on broken content have nothing in common
-        said = getattr(error, "strerror", None) or "a line is not as it should be"
-        raise InputError(f"{printable(path)} is no .obj surface ({said}); give lines v x y z and f i j k.") from error
+        why = getattr(error, "strerror", None) or "a line is not as it should be"
+        raise InputError(f"{printable(path)} is no .obj surface ({why}); give lines v x y z and f i j k.") from error
     places, faces = np.array(mesh.vertices), np.array(mesh.faces)
     if not len(faces) or faces.min() < 0 or faces.max() >= len(places) or not (np.abs(places) <= LARGEST).all():
         raise InputError(f"{printable(path)} holds no triangles of its own finite vertices; give lines v and f.")

@@ -64,7 +64,7 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
 
     total, words = counts.total(), [_described(run) for run in runs]
     drawn = f"{len(runs)} are drawn, interactions.csv has all. " if len(runs) < total else ""
-    heights = [0.9 + 0.2 * len(said) + 2.8 * _moves(run) for run, (_, said) in zip(runs, words, strict=True)]
+    heights = [0.9 + 0.2 * len(lines) + 2.8 * _moves(run) for run, (_, lines) in zip(runs, words, strict=True)]
     figure = Figure(figsize=(15, sum(heights) + 1.4), dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12))
     figure.suptitle("\n".join(_lines(title, 52)), x=0.01, ha="left", fontsize=18, fontweight="bold")
     footer = f"Contacts: {total}, with an estimate: {total - counts['no_estimate']}. {drawn}{OWN_UNITS}."
@@ -72,10 +72,10 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
     if not runs:
         return figure
     rows = figure.subplots(len(runs), height_ratios=heights, squeeze=False)[:, 0]
-    for axes, run, (heading, said) in zip(rows, runs, words, strict=True):
-        axes.set_title("\n".join(said), loc="left", fontsize=10.5)
+    for axes, run, (heading, lines) in zip(rows, runs, words, strict=True):
+        axes.set_title("\n".join(lines), loc="left", fontsize=10.5)
         axes.annotate(
-            heading, (0, 1), (0, 9 + 14.7 * len(said)), "axes fraction", "offset points", fontsize=13,
+            heading, (0, 1), (0, 9 + 14.7 * len(lines)), "axes fraction", "offset points", fontsize=13,
             fontweight="bold", va="bottom", color=np.divide(NOTES[state(run)].color, 255), annotation_clip=False,
         )  # fmt: skip
         if _moves(run):

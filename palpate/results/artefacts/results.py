@@ -25,9 +25,9 @@ class ResultFile(Artefact):
         self._contacts: list[dict[str, Any]] = []
         self._separator = "\n"
         self._file = self.path.open("w", encoding="utf-8")
-        head = {"version": VERSION, "notice": "Research software, not a medical device.", "units": UNITS}
-        head |= {"clip": self.clip.source.name, "fps": self.clip.fps}
-        self._file.write(as_json(head)[:-1] + ', "frames": [')
+        notice = "Research software, not a medical device."
+        head = {"version": VERSION, "notice": notice, "clip": self.clip.source.name, "fps": self.clip.fps}
+        self._file.write(as_json(head | {"units": UNITS})[:-1] + ', "frames": [')
 
     def frame(self, estimate, image, labels) -> None:
         self._file.write(self._separator + as_json(_values(FRAMES, estimate) | _covariance(estimate.estimate)))
@@ -37,8 +37,7 @@ class ResultFile(Artefact):
         self._contacts.append(_values(CONTACTS, *run.rows) | _covariance(run.estimate))
 
     def finish(self) -> None:
-        calibration = self.clip.calibration
-        rows = (calibration and calibration.rows) or [None] * len(self._contacts)
+        rows: Any = (self.clip.calibration and self.clip.calibration.rows) or [None] * len(self._contacts)
         newtons = ({"newtons": None if row is None else _values(CALIBRATED, row)} for row in rows)
         contacts = [contact | more for contact, more in zip(self._contacts, newtons, strict=True)]
         self._file.write(f'\n], "contacts": {as_json(contacts)}}}\n')

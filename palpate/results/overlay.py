@@ -87,15 +87,12 @@ def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) ->
 
 
 def panel_corner(labels: np.ndarray | None, before: tuple[int, int] = (0, 0)) -> tuple[int, int]:
-    """Return the corner farthest from instruments (0 or 1 down and across), or `before` where that is about as far.
-
-    Lower corners count as nearer: players put their controls there.
-    """
+    """Return the corner farthest from instruments (0 or 1 down and across), or `before` where that is about as far."""
     labels = None if labels is None else labels[:: 1 + len(labels) // 240, :: 1 + len(labels) // 240]
     places = np.argwhere(labels == TOOL)
     if labels is None or not len(places):
         return before
-    away = [np.linalg.norm(places / labels.shape - corner, axis=1).min() - 0.3 * corner[0] for corner in CORNERS]
+    away = [np.linalg.norm(places / labels.shape - corner, axis=1).min() for corner in CORNERS]
     best = int(np.argmax(away))
     return CORNERS[best] if away[best] > away[CORNERS.index(before)] + 0.2 else before
 
@@ -108,13 +105,13 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate, corner: tuple[int, int])
     head, line = in_words(state(estimate)), _second_line(estimate)
     head += f"; {ALARMS[estimate.alarm][0]}" if estimate.alarm else ""
     room = width - 4 * pad
-    small = size * min(1.0, max(0.7, (room - 2 * size) / max(text_width(line, size), 1)))
-    first, *rest = wrap_text(line, room - small, small) or [""]
+    small = size * min(1.0, max(0.7, room / max(text_width(line, size), 1)))
+    first, *rest = [line] if text_width(line, small) <= room else wrap_text(line, room - small, small)
     first += " …" if rest else ""
     box = max(text_width(head, size, bold=True) + size, text_width(first, small)) + 2 * pad, step * (1 + bool(first))
     box = round(box[0]), round(box[1] + 1.3 * pad)
     left = width - pad - box[0] if corner[1] else pad
-    top = height - round(max(10.0, 13 * scale) * 1.9) - pad - box[1] if corner[0] else pad
+    top = round(0.83 * height) - box[1] if corner[0] else pad  # a player's controls lie below
     shade(canvas, (left, top), box, 0.66)
     dot = (round(left + pad + size * 0.3), round(top + step - size * 0.35))
     cv2.circle(canvas, dot, round(size * 0.36), NOTES[state(estimate)].color, -1, cv2.LINE_AA)
@@ -128,7 +125,7 @@ def _second_line(estimate: FrameEstimate) -> str:
     if field is not None and field.verdict != "undetermined":
         return f"Stiffness against stretch, relative: red {RANGE:g} times the median, blue a {RANGE:g}th."
     shown = [] if press is None else numbers(estimate.verdict, values_of(press.numbers))
-    if shown:
+    if shown := [each for each in shown if "±" in each[1]] or shown:
         return "   ".join([*map(" ".join, shown), "(f, u: scene units)"])
     return estimate.detail or NOTES[state(estimate)].text
 

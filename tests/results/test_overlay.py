@@ -83,13 +83,11 @@ def test_the_panel_lies_far_from_instruments_and_does_not_jump() -> None:
     seen = np.zeros((120, 200), np.uint8)
     assert panel_corner(None, (1, 1)) == panel_corner(seen, (1, 1)) == (1, 1)
     seen[:40, :30] = overlay.TOOL
-    assert panel_corner(seen) == (0, 1)
-    assert panel_corner(seen[:, ::-1]) == (0, 0)
-    seen[:40] = overlay.TOOL
-    assert panel_corner(seen)[0] == 1
-    middle = np.zeros_like(seen)
-    middle[50:70, 80:120] = overlay.TOOL
-    assert [panel_corner(middle, before) for before in overlay.CORNERS[:2]] == overlay.CORNERS[:2]
+    assert panel_corner(seen) == (1, 1)
+    assert panel_corner(seen[::-1], (1, 1)) == (0, 1)
+    seen[50:70, 80:120] = overlay.TOOL
+    seen[:40, :30] = 0
+    assert [panel_corner(seen, before) for before in overlay.CORNERS] == overlay.CORNERS
 
 
 @pytest.mark.parametrize("verdict", ["determined", "ratios", "undetermined", "onset_in_view"])

@@ -94,11 +94,13 @@ def _fix(warning: str, states: Iterable[str]) -> str:
 def contacts_of(folder: Path) -> list[dict[str, Any]]:
     """What is shown of a video's contacts."""
     report, runs = _json(folder / store.REPORT)["contacts"], _json(folder / store.RESULTS)["contacts"]
-    return [
-        {"row": run, "forces": forces, "numbers": contact_numbers(run, forces)}
-        | _explained(run["verdict"] or "no_estimate")
-        for run, forces in zip(runs, report, strict=True)
-    ]
+    found = []
+    for run, forces in zip(runs, report, strict=True):
+        # A press over its own peak is as its model assumes: it has no interval, and nothing to show.
+        flat = forces["unit"] == RELATIVE and not any(low is not None for low in forces["force_low"])
+        shown = {"row": run, "forces": forces, "flat": flat, "numbers": contact_numbers(run, forces)}
+        found.append(shown | _explained(run["verdict"] or "no_estimate"))
+    return found
 
 
 def _explained(name: str, count: int = 0) -> dict[str, Any]:
@@ -142,10 +144,8 @@ def _curves(
         row, forces = contact["row"], contact["forces"]
         # A pull determines no stiffness: its press, if one was fitted, would only hide the rest.
         values = {name: None if contact["name"] == "relative_force" else row[name] for name in CURVES}
-        values |= {"sure": "stiffness" in row["determined"], "words": contact["words"]}
+        values |= {"sure": "stiffness" in row["determined"], "words": contact["words"], "flat": contact["flat"]}
         values |= {x: forces[x] for x in ("unit", "time_s", "frame_s", "force", "force_low", "force_high")}
-        # A press over its own peak is as its model assumes: it has no interval, and nothing to show.
-        values["flat"] = forces["unit"] == RELATIVE and not any(low is not None for low in forces["force_low"])
         found["contacts"].append(values)
     return found
 

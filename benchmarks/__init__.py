@@ -9,5 +9,13 @@ online       Table II of Liang 2024: the online estimator on simulated pulls
 palpation    moduli from simulated palpations, as in Frank 2010
 instruments  automatic masks against outlines that people drew
 inference    time of networks and of whole videos
+alarm        false alarms of a limit of force against missed crossings
 harness      what all share: an experiment gives rows for a case; resuming and tables
 """
+
+import sys
+
+if sys.argv[0] == "-m":  # `python -m benchmarks.NAME` looks for the program, before its slow imports
+    from palpate.common.doors import enter_door
+
+    enter_door()

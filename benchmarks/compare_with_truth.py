@@ -6,11 +6,6 @@ Folders are those that `palpate infer` wrote, of frame folders that `python -m d
 files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import csv
 import io
 import json
@@ -24,17 +19,13 @@ from rich.console import Console
 
 from benchmarks.harness import show
 from palpate.common.command_line import say
-from palpate.common.doors import plain
+from palpate.common.doors import plain, run_door
 from palpate.common.files import read_file
 from palpate.common.options import options
 from palpate.data.source.table import MOST_BYTES, reason
 from palpate.estimators.estimate import COMBINATIONS, REPORTED, SYMBOLS
 from palpate.physics.mechanics import PARAMETERS
 from palpate.results.store import INTERACTIONS, RECORD
-
-COLUMNS = ("quantity", "estimate", "low", "high", "truth", "90 % interval")
-IN_LENGTHS = ("force", "force_over_stiffness")
-"""Quantities that count in the clip's unit of length."""
 
 
 class NoTruth(ValueError):
@@ -71,7 +62,7 @@ def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> p
 
     A video alone gives lengths, and forces with them, in a unit of its own only: these aren't judged.
     """
-    own_unit = () if Path(name).suffix == "" else IN_LENGTHS
+    own_unit = () if Path(name).suffix == "" else ("force", "force_over_stiffness")  # what counts in lengths
     determined, lines = row["determined"].split(";"), []
     for quantity in REPORTED:
         estimate, low, high = (row.get(f"{quantity}{end}", "") for end in ("", "_low", "_high"))
@@ -85,7 +76,7 @@ def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> p
             judged = "in another unit" if quantity in own_unit else "held" if held else "missed"
             line |= {"low": float(low), "high": float(high), "90 % interval": judged}
         lines.append(line)
-    return pd.DataFrame(lines, columns=COLUMNS)
+    return pd.DataFrame(lines, columns=("quantity", "estimate", "low", "high", "truth", "90 % interval"))
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,6 @@ left out where TISSUE_REAL_DATA, or ../shared/data, doesn't exist). Exit status:
 wrong usage.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
-import csv
-import itertools
 import json
 import math
 import os
@@ -26,6 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args
 
 import numpy as np
+import pandas as pd
 from rich.console import Console
 
 from benchmarks.harness import read_results
@@ -37,19 +31,15 @@ from benchmarks.recovery.suites import EVERY
 from palpate.api import calibrate, plan
 from palpate.cli.infer import main as infer
 from palpate.common.command_line import say
+from palpate.common.doors import run_door
 from palpate.common.files import as_json
 from palpate.common.options import options
-from palpate.common.provenance import ROOT
 from palpate.data.synthetic.__main__ import main as draw
 
+ROOT = Path(__file__).resolve().parents[1]
 GOLDENS = ROOT / "tests" / "goldens.json"
 REAL_DATA = Path(os.environ.get("TISSUE_REAL_DATA", ROOT.parent / "shared" / "data"))
-QUANTITIES = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
-COLUMNS = ("verdict", *QUANTITIES, *(f"{name}_sd" for name in QUANTITIES), "misfit")
-"""Columns of interactions.csv."""
-ROWS = ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "curve")
-"""Fields of a row of the recovery benchmark."""
-REAL = ("frames in contact", "verdict", "skill in frames kept back")
+
 Group = Literal["network", "direct", "rgb", "recovery", "grips", "online", "palpation", "plan", "real"]
 Values = dict[str, float | str]
 
@@ -70,12 +60,18 @@ def inferred(folder: Path, ending: str, *arguments: str, count: int = 6) -> Valu
     draw(["--output", str(clips), "--clips", str(count), "--frames", "32", "--seed", "1"])
     inputs = [str(path) for path in sorted(clips.glob(f"*/*_00000{ending}"))]
     infer([*inputs, "--output", str(folder / "results"), "--no-overlay", *arguments])
+    quantities = ("stiffness", "damping", "force", "damping_over_stiffness", "force_over_stiffness")
+    columns = ("verdict", *quantities, *(f"{name}_sd" for name in quantities), "misfit")
     found: Values = {}
     for path in sorted((folder / "results").glob("*/interactions.csv")):
-        with path.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                found |= {f"{path.parent.name} {row['onset_frame']} {name}": row[name] for name in COLUMNS}
+        for row in rows_of(path):
+            found |= {f"{path.parent.name} {row['onset_frame']} {name}": row[name] for name in columns}
     return found
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    """Rows of a table, all texts."""
+    return pd.read_csv(path, dtype=str, keep_default_na=False).to_dict("records")
 
 
 def recovered(folder: Path, kind: str, suites: Sequence[str] = ()) -> Values:
@@ -86,7 +82,7 @@ def recovered(folder: Path, kind: str, suites: Sequence[str] = ()) -> Values:
              "--clips", "1", "--workers", "0"])  # fmt: skip
     found: Values = {}
     for key, row in read_results(folder / "results.jsonl", ("suite", "estimator")).items():
-        for name in ROWS:
+        for name in ("status", "estimate", "covariance", "misfit", "contact_right", "skill", "curve"):
             values = np.ravel(row.get(name, []))
             found |= {" ".join((*key, name, str(place))): value for place, value in enumerate(values.tolist())}
     return found
@@ -94,8 +90,7 @@ def recovered(folder: Path, kind: str, suites: Sequence[str] = ()) -> Values:
 
 def table_of(folder: Path, *columns: str) -> Values:
     """Values of a table.csv by the columns that name them, without times."""
-    with (folder / "table.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(folder / "table.csv")
     return {" ".join(row[name] for name in columns): row["value"] for row in rows if "step" not in row["measure"]}
 
 
@@ -125,8 +120,8 @@ def real(folder: Path) -> Values:
     if not (REAL_DATA / "cholecseg8k").is_dir():
         return {}
     judge(["--data", str(REAL_DATA), "--output", str(folder)])
-    found = table_of(folder, "clip", "measure")
-    return {key: value for key, value in found.items() if key.endswith(REAL)}
+    ends = "frames in contact", "verdict", "skill in frames kept back"
+    return {key: value for key, value in table_of(folder, "clip", "measure").items() if key.endswith(ends)}
 
 
 GROUPS: dict[str, Callable[[Path], Values]] = {
@@ -160,13 +155,11 @@ def differences(values: Values, goldens: Values) -> list[str]:
     """A sentence per value that is another, new or missing."""
 
     def same(value: Any, golden: Any) -> bool:
-        if isinstance(value, float) and isinstance(golden, float):
-            # Relative difference that rounding makes between machines and numbers of threads.
-            return math.isclose(value, golden, rel_tol=1e-4)
-        return value == golden
+        numbers = isinstance(value, float) and isinstance(golden, float)
+        # Relative difference that rounding makes between machines and numbers of threads.
+        return math.isclose(value, golden, rel_tol=1e-4) if numbers else value == golden
 
-    names = dict.fromkeys(itertools.chain(goldens, values))
-    pairs = {name: (values.get(name, "missing"), goldens.get(name, "missing")) for name in names}
+    pairs = {name: (values.get(name, "missing"), goldens.get(name, "missing")) for name in goldens | values}
     return [f"{name}: {value}, golden {golden}" for name, (value, golden) in pairs.items() if not same(value, golden)]
 
 

@@ -33,8 +33,7 @@ from palpate.results.store import OutputError, make_output, writing
 RESULTS, RECORD = "results.jsonl", "run.json"
 MOST_BYTES = 2**27
 """Largest size of a file of results; tens of thousands are smaller."""
-REFUSED = (InputError, ModelFileError, OutputError, WorkerLost)
-"""What ends any experiment with a sentence."""
+
 OK = "ok"
 
 Row = dict[str, Any]
@@ -104,11 +103,12 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     """
     experiment: Experiment = options(kind, arguments, program, documentation)
     console = Console(stderr=True)
+    refused = (InputError, ModelFileError, OutputError, WorkerLost)  # what ends any experiment with a sentence
     try:
         with writing(experiment.output):
             require_own(*(experiment.output / name for name in experiment.writes))
         store = Store(experiment.output, experiment.record(), experiment.keys)
-    except REFUSED as error:
+    except refused as error:
         say(console, str(error), "red")
         return 2
     status = 0
@@ -122,7 +122,7 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     except KeyboardInterrupt:
         say(console, "Interrupted; what is finished is kept, and the same command continues.", "yellow")
         status = INTERRUPTED
-    except REFUSED as error:
+    except refused as error:
         say(console, f"{error} What is finished is kept.", "red")
         status = 1
     if not store.rows:
@@ -207,9 +207,8 @@ def read_results(path: Path, keys: tuple[str, ...]) -> dict[tuple, Row]:
         try:
             key, row = _parsed(line, keys)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
-            raise OutputError(
-                f"{path}: line {number} is not a result; remove it or choose another --output."
-            ) from error
+            problem = f"{path}: line {number} is not a result"
+            raise OutputError(f"{problem}; remove it or choose another --output.") from error
         found[key] = row
     return found
 

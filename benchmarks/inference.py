@@ -1,11 +1,10 @@
-"""What inference takes: the networks alone, and plain videos from end to end.
+"""Time of inference: the networks alone, and whole videos with wall clock, processor time by stage and peak memory.
 
-    python -m benchmarks.inference
+    python -m benchmarks.inference --against HEAD~1
 
 The networks are exported with random weights, which cost what trained ones do. Bini 2026, section 4.3, has 1.67 ms for
-encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. Plain
-videos of ten seconds with one press are timed from their first frame to finished results with the overlay; of any
-clip, `timings_s` of its `run.json` says where the time went.
+encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. The synthetic videos last ten
+seconds, with an instrument in view in all frames: a press, then a pull, before a camera that turns slightly.
 """
 
 from palpate.common.doors import enter_door, run_door
@@ -16,29 +15,34 @@ if __name__ == "__main__":
 import json
 import os
 import platform
+import subprocess
+import sys
 import timeit
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Generator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from datetime import date
-from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import torch
 
 from benchmarks.harness import show
-from palpate.cli.infer import main as infer
-from palpate.common.options import parse
+from palpate.common.options import option, options
 from palpate.data.contact.features import FEATURES
-from palpate.data.synthetic.clip import write_clip
+from palpate.data.source.video import Video
+from palpate.data.synthetic.clip import draw_truth, observe
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.models.generator import Generator
+from palpate.models.generator import Generator as Network
 from palpate.models.onnx_export import export
 from palpate.models.onnx_session import open_model
 from palpate.physics.mechanics import RECOMMENDED
 
+ROOT = Path(__file__).resolve().parents[1]
 SIZE = 120, 214
 """Height and width of the networks' input."""
 RUNS = 20
@@ -47,11 +51,24 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
 }
 """What differs from the generator's defaults."""
-HEIGHTS = {854: 480, 1280: 720}
-"""Heights of pictures by their width [px]."""
-VIDEO_FRAMES, VIDEO_SEED = 250, 55
-RATES = ("full", "fast")
-"""Values of --rate."""
+SIZES = (854, 480), (1280, 720)
+"""Width and height of the synthetic videos [px]."""
+SCENES: tuple[dict[str, Any], ...] = (
+    {"frames": 75, "onset_fraction": (0.2, 0.2), "press_seconds": (2.0, 2.0), "profile": "hold"},
+    {"frames": 175, "onset_fraction": (0.1, 0.1), "action": "grip"},
+)
+"""What a synthetic video shows, one after the other."""
+SEED = 55
+
+
+@dataclass(frozen=True)
+class Timings:
+    """What is timed."""
+
+    videos: tuple[Path, ...] = option((), positional=True, metavar="VIDEO")
+    """videos in place of the synthetic ones and the networks"""
+    against: str | None = option(None, metavar="REVISION")
+    """another commit that takes turns with this checkout"""
 
 
 def exported(name: str, folder: Path) -> Path:
@@ -60,7 +77,7 @@ def exported(name: str, folder: Path) -> Path:
     torch.manual_seed(0)
     file = folder / f"{Path(name).stem}.onnx"
     size = {"window": settings["channels"], "height": SIZE[0], "width": SIZE[1]}
-    export(Generator(**settings), file, {"input": size})
+    export(Network(**settings), file, {"input": size})
     return file
 
 
@@ -71,47 +88,77 @@ def encoder_and_head(file: Path, threads: int | None) -> float:
     return 1e3 * float(np.median(timeit.repeat(lambda: model.run(given), number=1, repeat=RUNS)))
 
 
-def frames_a_second(video: Path, output: Path, rate: str) -> float:
-    """How many frames of a video of VIDEO_FRAMES `infer.py` finishes a second at a rate; results go to `output`.
+def synthetic_videos(folder: Path) -> list[Path]:
+    """Write the SCENES as a video of each of SIZES, the first as it is drawn, into a folder."""
+    files = [folder / "{}x{}.mp4".format(*size) for size in SIZES]
+    with ExitStack() as stack:
+        videos = [stack.enter_context(closing(Video(*given, 25, crf=18))) for given in zip(files, SIZES, strict=True)]
+        for scene in SCENES:
+            settings = SceneSettings(width=SIZES[0][0], height=SIZES[0][1], turning_deg=0.5, **scene)
+            for image, *_ in observe(*draw_truth(settings, SEED), SEED):
+                for video, size in zip(videos, SIZES, strict=True):
+                    video.write(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC))
+    return files
+
+
+def timed(root: Path, video: Path, output: Path) -> dict[str, Any]:
+    """Run `infer.py` of a checkout; return what it took in all, and then the seconds of its stages.
 
     Raises:
         RuntimeError: it failed.
     """
-    with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        status = infer([str(video), "--estimator", "network", "--rate", rate, "--output", str(output)])
+    program = [sys.executable, str(root / "infer.py"), str(video), "--output", str(output), "--overwrite"]
+    silent = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_WRONLY, 0) for stream in (1, 2)]
+    _, status, used = os.wait4(os.posix_spawn(sys.executable, program, os.environ, file_actions=silent), 0)
     if status != 0:
-        raise RuntimeError(f"infer.py ended with status {status} on {video}.")
+        raise RuntimeError(f"infer.py ended with status {os.waitstatus_to_exitcode(status)} on {video}.")
     record = json.loads(next(output.rglob("run.json")).read_text(encoding="utf-8"))
-    return VIDEO_FRAMES / record["timings_s"]["total"]
+    seconds = record["timings_s"]
+    rate, processor = record["input"]["frames"] / seconds.pop("total"), used.ru_utime + used.ru_stime
+    return {"frames/s": rate, "processor [s]": processor, "peak memory [MB]": used.ru_maxrss / 1024} | seconds
 
 
-def plain_video(width: int, folder: Path) -> list[float]:
-    """`frames_a_second` of a drawn video of a width [px], at each of RATES; all in a folder."""
-    settings = SceneSettings(width=width, height=HEIGHTS[width], frames=VIDEO_FRAMES)
-    video = write_clip(folder / f"{width}", 1, settings, VIDEO_SEED).with_suffix(".mp4")
-    return [frames_a_second(video, folder / f"{rate}{width}", rate) for rate in RATES]
+@contextmanager
+def checkout(revision: str) -> Generator[Path]:
+    """A commit's files in a temporary folder."""
+    with TemporaryDirectory() as folder:
+        worktree = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*worktree, "add", "--quiet", "--detach", folder, revision], check=True)
+        try:
+            yield Path(folder)
+        finally:
+            subprocess.run([*worktree, "remove", "--force", folder], check=True)
+
+
+def compared(video: Path, against: str | None, folder: Path) -> pd.DataFrame:
+    """Table of what a video takes here and, turn by turn, in another commit, with their ratio."""
+    with ExitStack() as stack:
+        roots = {"here": ROOT}
+        if against is not None:
+            roots[against] = stack.enter_context(checkout(against))
+        for _ in range(2):  # the first turn compiles
+            found = {name: timed(root, video, folder / root.name) for name, root in roots.items()}
+    frame = pd.DataFrame(found).rename_axis(video.stem).reset_index()
+    return frame if against is None else frame.assign(ratio=frame["here"] / frame[against])
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables; returns the exit status."""
-    parse((), arguments, "benchmarks.inference", __doc__)
-    with TemporaryDirectory() as folder:
-        _measure(Path(folder))
-    return 0
-
-
-def _measure(folder: Path) -> None:
+    asked: Timings = options(Timings, arguments, "benchmarks.inference", __doc__)
     machine = f"{os.cpu_count()} cores {platform.machine()}, {date.today()}"
-    title = f"ms a frame ({machine}; the paper: 1.67 for encoder and head, 921 for depth, on a GPU)"
-    print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
-    files = {name: exported(name, folder) for name in NETWORKS}
-    rows = ([name, *(f"{encoder_and_head(file, each):.1f}" for each in (1, None))] for name, file in files.items())
-    show(pd.DataFrame(rows, columns=("configuration", "1 thread", "all threads")))
-    print(f"\nPlain video, {VIDEO_FRAMES} frames, one press, the network that ships ({machine})\n")
-    columns = ("pictures", *(f"--rate {rate}: frames a second" for rate in RATES))
-    whole = ((f"{width}x{height}", plain_video(width, folder)) for width, height in HEIGHTS.items())
-    rows = ((size, *(f"{rate:.1f}" for rate in rates)) for size, rates in whole)
-    show(pd.DataFrame(rows, columns=columns))
+    with TemporaryDirectory() as name:
+        folder, videos = Path(name), asked.videos
+        if not videos:
+            title = f"ms a frame ({machine}; the paper: 1.67 for encoder and head, 921 for depth, on a GPU)"
+            print(f"Encoder and head, {SIZE[1]}x{SIZE[0]}, {title}\n")
+            files = {name: exported(name, folder) for name in NETWORKS}
+            rows = [(name, *(encoder_and_head(file, threads) for threads in (1, None))) for name, file in files.items()]
+            show(pd.DataFrame(rows, columns=("configuration", "1 thread", "all threads")))
+            videos = synthetic_videos(folder)
+        print(f"\nVideos, and the seconds of their stages, which overlap ({machine})\n")
+        for video in videos:
+            show(compared(video, asked.against, folder))
+    return 0
 
 
 if __name__ == "__main__":

@@ -9,11 +9,6 @@ IoU, the share with an IoU below 0.05, the mean number of stray pixels (farther 
 of pictures with more than 100 of them, and tool-free pictures in which one is found; at last the time a frame.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,6 +21,7 @@ from rich.console import Console
 
 from benchmarks.harness import csv_of, show
 from palpate.common.command_line import say
+from palpate.common.doors import run_door
 from palpate.common.options import options
 from palpate.data.labels import TOOL
 from palpate.data.masks.automatic import WEIGHTS, AutomaticMasks
@@ -35,14 +31,8 @@ from palpate.data.source.images import read_image
 from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
 from palpate.results.store import OutputError, make_output
 
-SIZE = (224, 384)
-"""Rows and columns of the pictures that are compared [px]."""
-HALO = 9
-"""Side of the square by which an instrument is widened before pixels count as stray [px]."""
 OWN, CLIP = "_tool", "_color_mask"
 """Endings of masks of own pictures, and of clips."""
-CLASSES = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbladder",))
-"""Instruments in the masks of clips."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +70,8 @@ def sources(folder: Path) -> dict[str, list[tuple[Path, Path]]]:
 def instrument(mask: Path, size: tuple[int, int]) -> np.ndarray:
     """1 = instrument, 0 = none, 2 = not known, uint8 [H, W]."""
     if not mask.stem.endswith(OWN):
-        return (read_class_mask(mask, size, CLASSES) == TOOL).astype(np.uint8)
+        classes = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbladder",))
+        return (read_class_mask(mask, size, classes) == TOOL).astype(np.uint8)
     stored = read_image(mask, cv2.IMREAD_GRAYSCALE)
     return np.where(stored == 255, 1, np.where(stored > 0, 2, 0)).astype(np.uint8)
 
@@ -94,13 +85,12 @@ def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[d
         began = time.perf_counter()
         labels = masks(frame)
         seconds = time.perf_counter() - began
-        found, true = (
-            cv2.resize(each.astype(np.uint8), SIZE[::-1], interpolation=cv2.INTER_NEAREST)
-            for each in (labels == TOOL, instrument(mask, labels.shape))
-        )
+        pair = (labels == TOOL).astype(np.uint8), instrument(mask, labels.shape)
+        found, true = (cv2.resize(each, (384, 224), interpolation=cv2.INTER_NEAREST) for each in pair)
         known, tool = true != 2, true == 1
         found = (found > 0) & known
-        near = cv2.dilate((true > 0).astype(np.uint8), np.ones((HALO, HALO))) > 0
+        # Pixels farther than four from an instrument count as stray.
+        near = cv2.dilate((true > 0).astype(np.uint8), np.ones((9, 9))) > 0
         union = (found | tool).sum()
         row = {"seconds": seconds, "stray": float((found & ~near).sum())}
         if tool.sum() < 20:

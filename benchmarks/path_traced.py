@@ -9,11 +9,6 @@ are found and others aren't, and of every quantity how many clips determine it, 
 there, and how often its 90 % interval holds the truth.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +21,7 @@ import pandas as pd
 
 from benchmarks.harness import Measurements, Report, Row, run
 from palpate.api import open_clip
+from palpate.common.doors import run_door
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.estimate import COMBINATIONS, REPORTED

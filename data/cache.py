@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from os.path import isdir, isfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ from palpate.physics.mesh import Mesh
 ENTRY_FILE = re.compile(rf"(clip|\d+)\.npz|{re.escape(LIST)}")
 """Pattern of the names of an entry's files."""
 AS_PREPARED = (
-    "status", "out_of_contact", "consecutive", "displacement", "backward", "rigid", "track_start", "track_position",
+    "status", "out_of_contact", "consecutive", "displacement", "backward", "rigid", "track_start", "track_position"
 )  # fmt: skip
 """Values of a frame that are stored by their own names."""
 NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction"))
@@ -153,6 +154,15 @@ class PreparedClip:
         """Label map of a frame on the grid, shape [h, w], uint8."""
         with np.load(_frame_file(self.folder, index)) as stored:
             return stored["labels"]
+
+    def frame(self, index: int, whole: bool) -> Any:
+        """What a run of contact keeps of a frame, named as in `PreparedFrame`; depth and labels are None unless
+        `whole`.
+        """
+        depth, labels = (self.depth(index), self.labels(index)) if whole else (None, None)
+        same = {name: getattr(self, name)[index] for name in ("out_of_contact", "consecutive", "track_position")}
+        known = {"time_s": float(self.times[index]), "in_contact": bool(self.contact[index]), "skipped": ()}
+        return SimpleNamespace(**same, **known, depth=depth, labels=labels)
 
     def mesh(self, index: int) -> Mesh:
         """Tissue mesh of a frame in contact.

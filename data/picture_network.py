@@ -71,14 +71,11 @@ class PictureNetwork:
             problem = f"takes {sides['N']} pictures at once; export it with a batch of 1 or a dynamic batch axis"
             raise InputError(f"{self.path} {problem}.")
         if sides["N"] not in (1, None) or sides["C"] not in (3, None):
-            raise InputError(
-                f"{self.path} takes an input '{self._input.name}' of shape {self._input.shape}, and not one colour "
-                f"picture as {axes}; correct the order of the axes in its settings."
-            )
+            problem = f"{self.path} takes an input '{self._input.name}' of shape {self._input.shape}, and not one"
+            raise InputError(f"{problem} colour picture as {axes}; correct the order of the axes in its settings.")
         if any(side is not None and not 1 <= side <= MOST_SIDE for side in (sides["H"], sides["W"])):
-            raise InputError(
-                f"{self.path} takes pictures of {sides['H']}x{sides['W']}; export it for 1 to {MOST_SIDE}."
-            )
+            problem = f"{self.path} takes pictures of {sides['H']}x{sides['W']};"
+            raise InputError(f"{problem} export it for 1 to {MOST_SIDE}.")
         return sides["H"], sides["W"]
 
     def run(self, tensor: np.ndarray, outputs: Sequence[str] | None = None) -> list[np.ndarray]:
@@ -92,10 +89,8 @@ class PictureNetwork:
         try:
             return [np.asarray(value) for value in self._session.run(outputs, {self._input.name: given})]
         except Exception as error:  # onnxruntime's errors share no base class of their own
-            raise InputError(
-                f"{self.path} fails on an input of shape {list(tensor.shape)} ({first_line(error)}); check the size "
-                "that its settings say."
-            ) from error
+            problem = f"{self.path} fails on an input of shape {list(tensor.shape)} ({first_line(error)});"
+            raise InputError(f"{problem} check the size that its settings say.") from error
 
 
 def resized(picture: np.ndarray, height: int, width: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """One prepared frame: what training preparation stores and inference consumes."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -48,8 +49,9 @@ class PreparedFrame:
     depth already exclude contact."""
     undecided: bool = False
     """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
-    light: np.ndarray | None = None
-    """Logarithm of the tissue's light, as in `data.shading.light.log_light`; None where it isn't looked at."""
+    make_light: Callable[[], np.ndarray] | None = None
+    """Return the logarithm of the tissue's light, as in `data.shading.light.log_light`; None where it isn't looked
+    at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
     press: tuple[int, int] | None = None
@@ -75,6 +77,11 @@ class PreparedFrame:
     instruments: np.ndarray | None = None
     """Number of the instrument at every pixel of the grid (`data.contact.instruments`), 0 = none, uint8 [h, w]."""
 
+    @property
+    def light(self) -> np.ndarray | None:
+        """What `make_light` returns, if anything."""
+        return None if self.make_light is None else self.make_light()
+
     def follows(self, number: int) -> bool:
         """Whether it is the next measurement after the frame of that number."""
         return self.frame.number - len(self.skipped) - number == 1
@@ -87,6 +94,11 @@ class PreparedFrame:
         except GeometryStatus as status:
             self.status, self.detail, self.geometry = status.status, status.detail, None
         return self.in_contact
+
+    @property
+    def time_s(self) -> float:
+        """Time stamp [s]."""
+        return self.frame.time_s
 
     @property
     def in_contact(self) -> bool:
@@ -115,17 +127,12 @@ class PreparedFrame:
         """Whether the frame has an image and labels, so that tissue can be followed into it."""
         return self.picture_labels is not None
 
-    @property
-    def view(self) -> tuple[np.ndarray, np.ndarray]:
-        """Image and label map of a frame that is visible; ValueError where it isn't."""
-        if self.picture_labels is None:
-            raise ValueError(f"Frame {self.frame.number} has no labels: {self.detail}")
-        return self.frame.picture, self.picture_labels
-
     @cached_property
     def shown(self) -> Shown:
-        """View of the frame in which points are followed, made once for all who follow."""
-        return Shown.of_view(self.view)
+        """Image and label map of a frame that is visible, made small once for all; ValueError where it isn't."""
+        if self.picture_labels is None:
+            raise ValueError(f"Frame {self.frame.number} has no labels: {self.detail}")
+        return Shown.of_view((self.frame.picture, self.picture_labels))
 
     @cached_property
     def ends(self) -> np.ndarray | None:

@@ -61,10 +61,8 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
     for name in FIXED:
         was, now = _field(trained, name), _field(configured, name)
         if was != now:
-            raise CheckpointError(
-                f"{path} was trained with model.{name} = {was} and the configuration says {now}; "
-                "give the configuration it was trained with."
-            )
+            problem = f"{path} was trained with model.{name} = {was} and the configuration says {now};"
+            raise CheckpointError(f"{problem} give the configuration it was trained with.")
 
 
 def require_same_weights(path: Path, model: Any, command: str) -> None:
@@ -83,10 +81,8 @@ def require_same_weights(path: Path, model: Any, command: str) -> None:
     there = {name: getattr(value, "shape", None) for name, value in checkpoint["state_dict"].items()}
     other = [name for name in {**here, **there} if here.get(name) != there.get(name)]
     if other:
-        raise CheckpointError(
-            f"{path} holds other weights than this network has, {len(other)} of them, such as {other[0]}; give the "
-            "configuration it was trained with."
-        )
+        problem = f"{path} holds other weights than this network has, {len(other)} of them, such as {other[0]};"
+        raise CheckpointError(f"{problem} give the configuration it was trained with.")
     try:
         if command == "fit":
             optimizers = model.configure_optimizers()

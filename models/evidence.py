@@ -32,8 +32,7 @@ def negative_evidence(
 
     Args:
         mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
-        misfit, gradient, information: the likelihood's value and derivatives at the means
-            (`physics.msd.likelihoods.linearise_depth`).
+        misfit, gradient, information: the likelihood's value and derivatives at the means.
         lower, upper: φ's box, shape [3].
 
     Returns:

@@ -48,10 +48,8 @@ class ContactHead(PictureHead):
     def __init__(self, channels: int, bounds: Bounds, contact_features: int) -> None:
         super().__init__(channels, bounds)
         if contact_features < 1:
-            raise ValueError(
-                "head posterior needs the contact's motion and its noise; set data.samples.observation to "
-                "trajectory and data.geometry.smoothing above 0, or choose head parameters."
-            )
+            problem = "head posterior needs the contact's motion and its noise; set data.samples.observation to"
+            raise ValueError(f"{problem} trajectory and data.geometry.smoothing above 0, or choose head parameters.")
         self.posterior = ContactPosterior(contact_features, torch.from_numpy(bounds.log_box), picture=channels)
         with torch.no_grad():
             place = self.scaled(torch.tensor([bounds.initial]))[0]
@@ -212,10 +210,8 @@ class Generator(nn.Module):
     ) -> None:
         super().__init__()
         if not (channels >= 1 and 1 <= width <= MAX_WIDTH and 0 <= residual_blocks <= MAX_BLOCKS):
-            raise ValueError(
-                f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel or more, "
-                f"a width of 1 to {MAX_WIDTH} and 0 to {MAX_BLOCKS} blocks."
-            )
+            problem = f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel"
+            raise ValueError(f"{problem} or more, a width of 1 to {MAX_WIDTH} and 0 to {MAX_BLOCKS} blocks.")
         self.channels = channels
         self.encoder = nn.Sequential(
             normalised_block(nn.Conv2d(channels, width, 7, padding=3, padding_mode="reflect")),

@@ -9,17 +9,21 @@ share, carries the paper's ½: each generator is then trained with exactly the p
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from palpate.common.settings import Checked, NotNegative
 from palpate.models.evidence import negative_evidence
+from palpate.physics.depth import DepthLikelihood
 from palpate.physics.load import Press
 from palpate.physics.mechanics import SIGNS, Bounds, Mechanics
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd import rollout, rollout_sensitivities
-from palpate.physics.msd.batch import DepthBatch, ObservationBatch
-from palpate.physics.msd.likelihoods import displacement_error, linearise_depth
+from palpate.physics.msd.autograd import map_samples
+from palpate.physics.msd.batch import ObservationBatch
+from palpate.physics.msd.likelihoods import displacement_error
+from palpate.physics.observation import Linearised
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ def posterior_physics_loss(
     factor: Tensor,
     meshes: Sequence[Mesh],
     loads: Sequence[Press],
-    dent: DepthBatch,
+    dents: Sequence[DepthLikelihood],
     mechanics: Mechanics,
     box: tuple[Tensor, Tensor],
 ) -> tuple[Tensor, Tensor]:
@@ -112,7 +116,7 @@ def posterior_physics_loss(
     Args:
         mean, factor: mean and covariance factor of the posterior of φ, shapes [B, 3] and [B, 3, 3].
         meshes, loads, mechanics: as in `physics_loss`.
-        dent: observed depth of the tissue around the contact.
+        dents: observed depth of the tissue around every contact; what its pixels show is decided at its own mean.
         box: φ's lower and upper bounds, shape [3] each.
 
     Returns:
@@ -121,8 +125,21 @@ def posterior_physics_loss(
     """
     theta = torch.exp(mean.detach().to("cpu", torch.float64))
     theta = theta * theta.new_tensor(SIGNS)
-    path, slopes = rollout_sensitivities(theta.to(mean.dtype), meshes, loads, mechanics, watch=dent.vertices)
-    misfit, gradient, information = linearise_depth(path, slopes, theta, dent)
+
+    def linearised(sample: tuple[Tensor, Mesh, Press, DepthLikelihood]) -> Linearised:
+        own, mesh, load, dent = sample
+        watch = torch.from_numpy(dent.vertices)[None]
+        path, slopes = rollout_sensitivities(own[None].to(mean.dtype), [mesh], [load], mechanics, watch)
+        steps = np.rint(dent.times / mechanics.time_step).astype(np.int64) - 1
+        motion = path[0, steps].double().numpy(), (slopes[0, steps].double() * own).numpy()
+        dent.look(*motion)
+        return dent.linearise(*motion)
+
+    found = map_samples(linearised, list(zip(theta, meshes, loads, dents, strict=True)))
+    names = "misfit", "gradient", "information"
+    misfit, gradient, information = (
+        torch.from_numpy(np.array([getattr(each, name) for each in found])) for name in names
+    )
     return negative_evidence(mean, factor, misfit, gradient, information, *box), information
 
 

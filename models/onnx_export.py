@@ -162,10 +162,8 @@ def write(
         except ModelFileError as error:
             raise ParityError(str(error).replace(str(partial), str(output))) from error
         if not difference <= most:  # or it is no number
-            raise ParityError(
-                f"the exported network differs from torch by {difference:.2g} in its outputs, more than "
-                f"{most:g}; nothing was written to {output}."
-            )
+            problem = f"the exported network differs from torch by {difference:.2g} in its outputs, more than {most:g};"
+            raise ParityError(f"{problem} nothing was written to {output}.")
     return difference
 
 

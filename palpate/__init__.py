@@ -10,6 +10,7 @@ common     files, settings, terminals; knows nothing of the field
 physics    simulators and their derivatives: simulate (numpy), rollout (torch), Mechanics
 data       from pixels to an Interaction: one run of contact, its mesh, load and observed motion
 models     networks, losses, exported files
+observations what is compared: point, depth, shading; one motion against several
 estimators from an Interaction to a PressResult: network, gan, direct, online
 planning   instrument paths; results: what is written
 
@@ -30,5 +31,5 @@ __getattr__, __dir__, __all__ = exported(
         "palpate.physics.mechanics": ("Mechanics",),
         "palpate.physics.msd.rollouts": ("rollout",),
         "palpate.physics.msd.simulation": ("simulate",),
-    },
+    }
 )

@@ -19,9 +19,7 @@ except ImportError:  # Windows; numba's own care has to do there
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
 SETTINGS: Any = numba.config  # its attributes are set at run time
 # numba compares a function's own file only: a digest of all sources keeps code from outliving their constants.
-SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR or str(
-    Path(__file__).parent / "__pycache__" / f"numba-{code_digest('kernels')}"
-)
+SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR or f"{Path(__file__).parent}/__pycache__/numba-{code_digest('kernels')}"
 
 
 def kernel(function: Callable) -> Callable:

@@ -4,40 +4,13 @@
 The noise is normal, so -log p(d|φ) = ½ Σ r² with the residual r = (Φ(φ) - d)/σ (Bini 2026, equation 14, with σ).
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
-from palpate.physics.identifiability import fisher_information
 from palpate.physics.load import Press
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd.simulation import simulate_tangent
-from palpate.physics.observation import Observation
-
-
-class Linearised(NamedTuple):
-    """A likelihood around one φ of D parameters; K observed coordinates."""
-
-    residual: np.ndarray
-    """(Φ - d)/σ, shape [K]."""
-    jacobian: np.ndarray
-    """Its derivatives by φ, shape [K, D]."""
-
-    @property
-    def misfit(self) -> float:
-        """½ Σ r², the negative log likelihood up to a constant."""
-        return 0.5 * float(self.residual @ self.residual)
-
-    @property
-    def gradient(self) -> np.ndarray:
-        """Gradient of the misfit by φ, shape [D]."""
-        return self.jacobian.T @ self.residual
-
-    @property
-    def information(self) -> np.ndarray:
-        """Fisher information of φ, shape [D, D]."""
-        return fisher_information(self.jacobian, 1.0)
+from palpate.physics.observation import Linearised, Observation
 
 
 class LeastSquares:
@@ -92,27 +65,16 @@ class Likelihood(LeastSquares):
         if len(self.steps) == 0 or self.steps.min() < 0 or self.steps.max() >= load.steps:
             raise ValueError(f"the observation has instants outside the load's {load.steps} steps, or none at all.")
         self.load = load.until(int(self.steps.max()) + 1)
-        observed = observation.displacement.astype(np.float64)
-        self.seen = np.isfinite(observed)
-        """Coordinates that were observed, shape [M, N, 3], bool."""
-        self.observed = observed[self.seen]
-        """Their displacements, shape [K] [scene units]."""
-        self.noise = np.broadcast_to(np.asarray(observation.noise, np.float64), observed.shape)[self.seen]
-        """Their standard deviations, shape [K] [scene units]."""
-        if not (self.noise > 0).all():
+        seen = np.isfinite(observation.displacement)
+        if not (np.broadcast_to(observation.noise, seen.shape)[seen] > 0).all():
             raise ValueError("noise of a seen point isn't a positive number; give a standard deviation above 0.")
 
     def theta(self, logs: np.ndarray) -> np.ndarray:
         """θ = [k_s, k_d, F] at φ, shape [3]."""
         return theta_of(logs[:3])
 
-    def simulated(self, logs: np.ndarray) -> np.ndarray:
-        """Φ of every observed coordinate, shape [K] [scene units]."""
-        return self.residual(logs) * self.noise + self.observed
-
     def _linearise(self, logs: np.ndarray) -> Linearised:
         """Exact; without derivatives where the motion is so chaotic that rounding decides them."""
         what = self.theta(logs), self.mesh, self.load, self.mechanics
         path, slopes = simulate_tangent(*what, watch=self.observation.vertices, dtype=self.dtype)
-        simulated, slopes = (np.moveaxis(values[self.steps], 1, 0)[self.seen] for values in (path, slopes))
-        return Linearised((simulated - self.observed) / self.noise, slopes / self.noise[:, None])
+        return self.observation.linearise(path[self.steps], slopes[self.steps])

@@ -4,13 +4,13 @@ Source: Bini 2026, section 3.3 (a force at the contact vertex, released after th
 `Press`. A `Grip` prescribes what a force would have to reach; the force is then the reaction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palpate.physics.mesh import Mesh
+
+Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,20 +41,14 @@ class Press:
             raise ValueError(f"weights add up to {total:g}; give shares of one force.")
 
     @classmethod
-    def at(cls, vertex: int, direction: np.ndarray, factor: np.ndarray) -> Press:
+    def at(cls, vertex: int, direction: np.ndarray, factor: np.ndarray) -> "Press":
         """On one vertex."""
         return cls(np.array([vertex], np.int64), np.ones(1), np.asarray(direction), np.asarray(factor, np.float64))
 
     @classmethod
     def on_patch(
-        cls,
-        mesh: Mesh,
-        vertex: int,
-        radius: float,
-        direction: np.ndarray,
-        factor: np.ndarray,
-        offset: tuple[float, float] = (0.0, 0.0),
-    ) -> Press:
+        cls, mesh: Mesh, vertex: int, radius: float, direction: np.ndarray, factor: np.ndarray, offset: Pair = (0, 0)
+    ) -> "Press":
         """Spread smoothly, as 1 - (r/R)², over the vertices less than `radius` grid pixels from a place.
 
         Args:
@@ -86,7 +80,7 @@ class Press:
         """T."""
         return len(self.factor)
 
-    def until(self, steps: int) -> Press:
+    def until(self, steps: int) -> "Press":
         """Return the press over its first steps."""
         return replace(self, factor=self.factor[:steps])
 
@@ -121,7 +115,7 @@ class Grip:
         """T."""
         return len(self.displacement)
 
-    def until(self, steps: int) -> Grip:
+    def until(self, steps: int) -> "Grip":
         """Return the grip over its first steps."""
         return replace(self, displacement=self.displacement[:steps])
 
@@ -159,13 +153,13 @@ class PressShape:
 
     radius: float = 0.0
     """R of `Press.on_patch` [grid pixels]; 0 = on one vertex."""
-    offset: tuple[float, float] = (0.0, 0.0)
+    offset: Pair = (0.0, 0.0)
     """Offset of the patch's middle from the contact vertex, rows and columns [grid pixels]."""
     rise: float = 0.0
     """How long the force takes to rise to F [s]."""
     fall: float = 0.0
     """How long it takes to fall from F to nothing, before the load's end [s]."""
-    lean: tuple[float, float] = (0.0, 0.0)
+    lean: Pair = (0.0, 0.0)
     """Lean of the direction along which a positive F acts: its part along the surface, towards the picture's right and
     towards its lower side, over that along the normal."""
 

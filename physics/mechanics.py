@@ -123,15 +123,11 @@ class Bounds:
         """
         for name in ("stiffness", "damping"):
             if not getattr(self, name)[0] > 0:
-                raise ValueError(
-                    f"bounds.{name} starts at {getattr(self, name)[0]} and head posterior works with logarithms; "
-                    "give a positive lower bound, or choose head parameters."
-                )
+                problem = f"bounds.{name} starts at {getattr(self, name)[0]} and head posterior works with logarithms;"
+                raise ValueError(f"{problem} give a positive lower bound, or choose head parameters.")
         if not self.force[1] < 0:
-            raise ValueError(
-                f"bounds.force ends at {self.force[1]} and head posterior works with log |F|; "
-                "give a negative upper bound such as -0.01, or choose head parameters."
-            )
+            problem = f"bounds.force ends at {self.force[1]} and head posterior works with log |F|;"
+            raise ValueError(f"{problem} give a negative upper bound such as -0.01, or choose head parameters.")
         return np.log([self.stiffness, self.damping, (-self.force[1], -self.force[0])]).T
 
 

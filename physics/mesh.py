@@ -131,6 +131,11 @@ def laplacian(springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray) ->
     return csr_array((ties.sum(axis=1) + anchor, number[:-1], number)) - ties
 
 
+def crosses(corners: np.ndarray) -> np.ndarray:
+    """Twice the area times the normal of triangles [..., 3, 3], towards where they are anticlockwise, [..., 3]."""
+    return np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+
+
 def contact_normal(mesh: Mesh, vertex: int) -> np.ndarray:
     """Unit normal at a vertex: area-weighted mean of the incident faces' normals (Bini 2026, equations 5 to 8).
 
@@ -142,17 +147,15 @@ def contact_normal(mesh: Mesh, vertex: int) -> np.ndarray:
     """
     position = mesh.vertices[vertex].astype(np.float64)
     incident = mesh.triangles[(mesh.triangles == vertex).any(axis=1)]
-    first, second, third = mesh.vertices[incident].astype(np.float64).transpose(1, 0, 2)
-    crosses = np.cross(second - first, third - first)
-    # A cross product is 2·area·normal. What a camera sees faces it, whichever way the triangle is wound.
-    crosses *= np.where((crosses * first).sum(axis=1, keepdims=True) > 0, -1.0, 1.0)
-    normal = crosses.sum(axis=0)
+    corners = mesh.vertices[incident].astype(np.float64)
+    normals = crosses(corners)
+    # What a camera sees faces it, whichever way the triangle is wound.
+    normals *= np.where((normals * corners[:, 0]).sum(axis=1, keepdims=True) > 0, -1.0, 1.0)
+    normal = normals.sum(axis=0)
     length = np.linalg.norm(normal)
     if length < np.finfo(np.float32).tiny:
         normal, length = -position, np.linalg.norm(position)
-    if length == 0:
-        return np.array([0.0, 0.0, -1.0])
-    return normal / length
+    return normal / length if length > 0 else np.array([0.0, 0.0, -1.0])
 
 
 def _grid_triangles(valid: np.ndarray, alternating: bool) -> np.ndarray:

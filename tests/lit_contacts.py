@@ -24,4 +24,4 @@ def lit_contact(times: np.ndarray, change: np.ndarray) -> Interaction:
     load = Press.at(vertex, np.array([0, 0, -1], np.float32), held(30, 100))
     light = ShadingSequence(times, change.astype(np.float32), np.zeros(change.shape[1:]), 0.01)
     observed = Observation.of_point(vertex, times, np.zeros((len(times), 3)), np.nan)
-    return Interaction(mesh, load, observed, 0.01, shading=light)
+    return Interaction(mesh, load, {"point": observed, "shading": light}, 0.01)

@@ -17,12 +17,13 @@ from palpate.data.synthetic.settings import SceneSettings
 from tests.inference_inputs import write_model
 
 ROOT = Path(__file__).resolve().parents[1]
-BELOW_RESULTS = {"estimators", "models", "data", "physics", "common"}
+BELOW_RESULTS = {"estimators", "observations", "models", "data", "physics", "common"}
 FLOORS = {
     "common": set(),
     "physics": {"common"},
     "data": {"physics", "common"},
     "models": {"physics", "common"},
+    "observations": BELOW_RESULTS - {"estimators", "observations"},
     "estimators": BELOW_RESULTS - {"estimators"},
     "planning": BELOW_RESULTS,
     "results": BELOW_RESULTS,
@@ -58,6 +59,7 @@ FENCES = {
         "data/source/clouds.py",
         "palpate/estimators/palpation/",
         "physics/fem/surface.py",
+        "benchmarks/",
     ),
     "scipy.stats": ("palpate/estimators/direct/", "palpate/results/paper/", "benchmarks/"),
 }

@@ -16,8 +16,9 @@ from benchmarks.palpation.synthetic import BODIES, observe, press
 from palpate.cli import calibrate
 from palpate.data.source.layout import InputError
 from palpate.estimators.calibration_file import read_calibration
-from palpate.estimators.palpation import Palpation, Skin
+from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.material_fit import MaterialFit
+from palpate.estimators.palpation.skin import Skin
 from palpate.physics.fem import Material, find_equilibrium
 
 

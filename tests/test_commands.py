@@ -37,6 +37,7 @@ ELSEWHERE = {
 """Commands that train, install, wait for somebody or take long, and what runs them."""
 SMALLER = {
     "--clips 30": "--clips 1 --size small --frames 16",
+    "--clips 12": "--clips 1 --size small --frames 16",
     "rtsp://127.0.0.1/endoscope": "clip.mp4",
     "live 0": "live clip.mp4",
 }

@@ -400,10 +400,10 @@ def test_without_contact_the_table_of_contacts_is_empty_and_contact_from_the_fir
 
 
 def test_a_limit_of_force_has_an_alarm(synthetic, tmp_path, capsys):
-    """The press is of 0.05 units: above a limit of 0.045 as soon as it is determined, and never of 0.1."""
+    """The press is of 0.05 units: above a limit of 0.03 as soon as it is determined, and never of 0.1."""
     arguments = [str(synthetic), "--output", str(tmp_path), "--onset", "stamp", "--no-overlay", "--force-limit"]
     folder = tmp_path / "video01_00000"
-    for limit, state in (("0.045", "above"), ("0.1", "below")):
+    for limit, state in (("0.03", "above"), ("0.1", "below")):
         assert infer.main([*arguments, limit, "--overwrite"]) == 0
         found, said = rows(folder), record(folder)["force_limit"]
         known = [row["force_high"] != "" and "force" in row["determined"].split(";") for row in found]
@@ -516,6 +516,7 @@ def test_wrong_usage(inputs, tmp_path, capsys):
             "needs the force of every frame, which --estimator gan does not give",
         ),
         (["--estimator", "online", "--force-limit", "1"], "which --estimator online does not give; choose another"),
+        (["--alarm-at", "0.8"], "--alarm-at has no effect without --force-limit"),
         (["--estimator", "online", "--bag", "ros2"], "--bag needs a force, which --estimator online does not give"),
         (["--model", model, "--export"], "--export needs intervals, which --estimator gan does not give"),
     ):

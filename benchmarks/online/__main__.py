@@ -9,13 +9,6 @@ Writes table.csv (sequence, start, method, measure, value) and table_2.csv of al
 --sequences thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1000.
 """
 
-from __future__ import annotations
-
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
@@ -27,9 +20,9 @@ import pandas as pd
 from benchmarks.harness import Experiment, Report, Row, run
 from benchmarks.online.compare import BATCH, HORIZON, METHODS, STARTS, Key, Optimizer, run_case, table
 from benchmarks.online.sequences import SEQUENCES, Pull
+from palpate.common.doors import run_door
 from palpate.common.settings import LARGEST
 
-DISTANCES = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
 STEP = "step on one core [s]"
 SequenceName = Literal["thin-shell-1", "thin-shell-2", "volume-1", "volume-2"]
 Start = Literal["k1", "k2", "k3"]
@@ -41,7 +34,7 @@ def pull_of(sequence: str, particles: int, points: int, frames: int) -> Pull:
     return SEQUENCES[sequence].pull(particles, points, frames)
 
 
-def follow(case: tuple[Online, Key]) -> list[Row]:
+def follow(case: "tuple[Online, Key]") -> list[Row]:
     """The row of one method from one start on a sequence."""
     asked, (sequence, start, method) = case
     pull = pull_of(sequence, asked.particles, asked.points, asked.frames_of[sequence])
@@ -85,10 +78,8 @@ class Online(Experiment):
             raise ValueError("--match chamfer tells Gauss–Newton's steps nothing; give --optimizer adam, or both.")
         least = min(self.frames_of.values())
         if self.every + HORIZON > least - 1:
-            raise ValueError(
-                f"--every {self.every} leaves no prediction {HORIZON} frames ahead within {least} frames; give fewer "
-                "or more --frames."
-            )
+            problem = f"--every {self.every} leaves no prediction {HORIZON} frames ahead within {least} frames;"
+            raise ValueError(f"{problem} give fewer or more --frames.")
         if not self.wanted:
             raise ValueError(f"{BATCH} runs on sheets alone, as in the paper; give other --sequences or --methods.")
 
@@ -113,8 +104,9 @@ class Online(Experiment):
         """Every measure, and Table II."""
         cases = {key: rows[key] for key in self.wanted if key in rows}
         cells = []
+        distances = {"future gap [mm]": "gap", "keypoint error [mm]": "keypoint", "Chamfer distance [mm]": "chamfer"}
         for key, case in cases.items():
-            cells += [(*key, text, 1e3 * float(case[name].mean())) for text, name in DISTANCES.items()]
+            cells += [(*key, text, 1e3 * float(case[name].mean())) for text, name in distances.items()]
             cells += [(*key, "rank correlation of distances", case.get("rank")), (*key, STEP, case["seconds"])]
         frame, gaps = pd.DataFrame(cells, columns=(*self.keys, "measure", "value")), table(cases)
         steps = frame[frame["measure"] == STEP].pivot_table("value", "method", "sequence", "median").reset_index()

@@ -72,7 +72,7 @@ def run_case(
     session, learner = Session(objective, fields, method), None
 
     def moved(places: np.ndarray) -> np.ndarray:
-        return PIXELS / objective.edge * (places - pull.shares @ body.rest)
+        return PIXELS / body.edge * (places - pull.shares @ body.rest)
 
     if (method.name, optimizer) == ("PBD-RM-ON", "gauss-newton"):
 
@@ -122,7 +122,7 @@ def fit_batch(
     """
     body, bounds, adam, fields = objective.body, objective.bounds, Adam(rate), begun
     logits, left = bounds.logits(begun), []
-    share = 1 / (len(matches) * float(body.layout.rest[body.kinds[0]].mean()) ** 2)
+    share = 1 / (len(matches) * body.edge**2)
     for _ in range(EPOCHS):
         motion = objective.stepped(fields, body.rest, places)
         pulls, total = np.zeros_like(motion.positions), 0.0
@@ -133,8 +133,7 @@ def fit_batch(
                 total += share * value
                 slopes_at[frame] += share * slope
         left.append(total)
-        found = motion.gradient(pulls)
-        slopes = Stiffness(found.distance.sum(axis=0), found.shape.sum(axis=0), 0.0)
+        slopes = Stiffness(*motion.gradient(pulls).total, 0.0)
         logits = adam.step(logits, bounds.by_logits(fields, slopes))
         fields = bounds.fields(logits, float(begun.volume))
     return fields, np.array(left)

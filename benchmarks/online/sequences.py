@@ -30,18 +30,8 @@ FINE, FINE_CELLS = 41, (16, 13, 4)
 """Nodes along a sheet's side; cells of a block."""
 STIFF = 3.0
 """Stiffness of the stiff part, over the soft one."""
-SPRINGS = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, 0.5), (1, -1, 0.5), (2, 0, 0.05), (0, 2, 0.05))
-"""Springs of a sheet's net: nodes to the right and up, and stiffness over that of rows: along rows, along diagonals,
-and against bending."""
-DRAG = 1 / 0.005**2
-"""Drag of a sheet's area, over the stiffness of its soft springs [frames/m²]: 1 a particle, 5 mm apart."""
-YOUNG, POISSON = 5e3, 0.45
-"""Young's modulus and Poisson's ratio of the soft part of a block; only ν and E over the drag count for where it is."""
-BLOCK_DRAG = YOUNG / (1.5 * 0.0075**2)
-"""Drag of a block's volume [Pa frames/m²]: 1 a particle, 7.5 mm apart, where springs of 1 along the edges and across
-the sides of cubes make a modulus of about 1.5 over that distance."""
-BLOCK_STEPS, SETTLED = 2, 1e-8
-"""Implicit steps of a block a frame; largest force out of balance in each, over the largest at a node."""
+
+
 NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
 """Standard deviation of observations, by axis [m]; points that are followed; of these, keypoints (section III-D)."""
 
@@ -129,19 +119,10 @@ class Sequence:
         for state in states:
             cloud = surface(points)
             clouds.append(cloud + state(cloud) + random.normal(0, NOISE, cloud.shape))
-        return Pull(
-            body,
-            gripped,
-            visible,
-            body.rest[gripped] + path[:, None],
-            np.stack(clouds),
-            _shares(body, visible, followed),
-            true[1:] + random.normal(0, NOISE, true[1:].shape),
-            true,
-            _spread_out(true),
-            np.where(self.stiff(body.rest), STIFF, 1.0),
-            np.stack([body.rest + state(body.rest) for state in states]),
-        )
+        tracks = _shares(body, visible, followed), true[1:] + random.normal(0, NOISE, true[1:].shape), true
+        truth = np.stack([body.rest + state(body.rest) for state in states])
+        observed = body.rest[gripped] + path[:, None], np.stack(clouds), *tracks, _spread_out(true)
+        return Pull(body, gripped, visible, *observed, np.where(self.stiff(body.rest), STIFF, 1.0), truth)
 
 
 def _held(rest: np.ndarray, block: bool) -> np.ndarray:
@@ -186,14 +167,17 @@ def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:
 def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
     """States of a net that flows down its energy, in steps of Euler's well within what is stable."""
     rest, _ = _grid(FINE, FINE, (SIDE, SIDE))
-    kinds = [grid_springs((FINE, FINE), right, up) for right, up, _ in SPRINGS]
+    # Nodes to the right and up, and stiffness over that of rows: along rows, along diagonals, and against bending.
+    net = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, 0.5), (1, -1, 0.5), (2, 0, 0.05), (0, 2, 0.05))
+    kinds = [grid_springs((FINE, FINE), right, up) for right, up, _ in net]
     springs, relative = np.concatenate(kinds), np.where(stiff(rest), STIFF, 1.0)
     first, second = springs.T
-    weights = np.repeat([weight for *_, weight in SPRINGS], [len(kind) for kind in kinds])
+    weights = np.repeat([weight for *_, weight in net], [len(kind) for kind in kinds])
     stiffness = weights * (relative[first] + relative[second]) / 2
     lengths = np.linalg.norm(rest[first] - rest[second], axis=1)
     ends = incidence(springs, len(rest))
-    drag = DRAG * (SIDE / (FINE - 1)) ** 2
+    # Drag over the stiffness of soft springs [frames/m²]: 1 a particle, 5 mm apart.
+    drag = 1 / 0.005**2 * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]
     # A node's springs pull at most twice their sum as fast as it moves: half of what is stable.
@@ -212,23 +196,34 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     return states
 
 
-def _block_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
-    """States of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work."""
+def _block_states(
+    path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray], young: float = 5e3, count: int = 2
+) -> list[State]:
+    """States of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work.
+
+    Args:
+        path: of the gripper, shape [T, 3] [m].
+        stiff: which places are.
+        young: of the soft part; only ν and E over the drag count for where it is [Pa].
+        count: steps a frame.
+    """
     nodes, tetrahedra = box(BLOCK, FINE_CELLS)
     solid = make_solid(nodes, tetrahedra)
-    young = YOUNG * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0)
-    material = Material("stable_neo_hookean", young, POISSON)
+    moduli = young * np.where(stiff(nodes[tetrahedra].mean(axis=1)), STIFF, 1.0)
+    material = Material("stable_neo_hookean", moduli, 0.45)
     gripped = _held(nodes, True)
     held = np.broadcast_to((gripped | (nodes[:, 0] < 1e-9))[:, None], nodes.shape).copy()
     axes = tuple(np.linspace(0, side, cells + 1) for side, cells in zip(BLOCK, FINE_CELLS, strict=True))
     volumes = np.bincount(tetrahedra.ravel(), np.repeat(solid.volumes / 4, 4), len(nodes))
-    drag = diags_array(np.repeat(BLOCK_DRAG * BLOCK_STEPS * volumes, 3)).tocsr()
+    # Drag of a volume [Pa frames/m²]: 1 a particle, 7.5 mm apart, where springs of 1 along the edges and across the
+    # sides of cubes make a modulus of about 1.5 over that distance.
+    drag = diags_array(np.repeat(young / (1.5 * 0.0075**2) * count * volumes, 3)).tocsr()
     now, near, before, states = np.zeros_like(nodes), None, np.zeros(3), []
     for after in path:
-        for step in range(1, BLOCK_STEPS + 1):
-            goal = np.where(gripped[:, None], before + step / BLOCK_STEPS * (after - before), 0.0)
+        for step in range(1, count + 1):
+            goal = np.where(gripped[:, None], before + step / count * (after - before), 0.0)
             energy = Energy(solid, material, (drag @ now.ravel()).reshape(-1, 3), drag)
-            now, _, near = settle(energy, now, goal, held, near=near, tolerance=SETTLED)
+            now, _, near = settle(energy, now, goal, held, near=near, tolerance=1e-8)
         before = after
         states.append(_interpolated(axes, now.reshape(*(len(axis) for axis in axes), 3)))
     return states

@@ -7,11 +7,6 @@ are fitted by the co-rotational law, from starts a factor of thirty off; then E 
 Writes table.csv (file, measure, value), and prints it; what is finished is kept, and the same command continues.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +17,9 @@ import numpy as np
 
 from benchmarks.harness import Measurements, Row, run
 from benchmarks.palpation.synthetic import BODIES, SENSORS, TOOL, observe, press
-from palpate.estimators.palpation import FitSettings, Skin, fit_material
+from palpate.common.doors import run_door
+from palpate.estimators.palpation.material_fit import FitSettings, fit_material
+from palpate.estimators.palpation.skin import Skin
 from palpate.physics.fem import Equilibrium
 from palpate.physics.fem.meshing import around
 
@@ -30,18 +27,13 @@ YOUNG, POISSON = 1e4, 0.42
 """The truth [Pa]."""
 PLACE = {"ball": (0.35, 0.5), "slab": (0.6, 0.5)}
 """Where is pressed, as `Body.contact` takes it: where the Cramér–Rao bound asks for the fewest pictures."""
-PICTURES = {("slab", "time of flight"): 5}
-"""Pictures of every press, each with its own pose, as many as the bound asks for; else one."""
+
 FORCES = (0.3, 0.4, 0.5)
 """Forces of the presses, one step after the other as the paper's robot does [N]: laws part where a body is dented by
 more."""
 SIX = (0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
 """Forces of the paper's figure 5 [N]."""
-CELLS, TRUE_CELLS = {"ball": 6, "slab": 7}, {"ball": 8, "slab": 9}
-EDGE, TRUE_EDGE = {"ball": 0.7 * TOOL, "slab": 0.6 * TOOL}, {"ball": 0.5 * TOOL, "slab": 0.4 * TOOL}
-"""Longest edge of an element where the tool presses [m]; of the truth's as well."""
-SPACING, TRUE_SPACING = 1 / 56, 1 / 64
-"""Distances of points of the scanned surface, over the body's size."""
+
 STARTS = (30.0, 1 / 30)
 SEED = 73500
 """Seed of the first press's noise; those after it follow."""
@@ -63,7 +55,8 @@ class Frank(Measurements):
         found: dict[str, Callable[[], Row]] = {}
         for body in (self.body,) if self.body else BODIES:
             for sensor, start in itertools.product(SENSORS, STARTS):
-                pictures = len(FORCES) * PICTURES.get((body, sensor), 1)
+                # Of every press as many pictures as the bound asks for, each with its own pose.
+                pictures = len(FORCES) * (5 if (body, sensor) == ("slab", "time of flight") else 1)
                 name = f"{body}, {sensor}, {len(FORCES)} presses, {pictures} pictures, start E × {start:.3g}"
                 found[name] = functools.partial(fit_from, body, sensor, start, pictures)
         if self.body != "slab":
@@ -74,16 +67,15 @@ class Frank(Measurements):
 @functools.cache
 def true_press(name: str, force: float) -> Truth:
     """The truth of a body under a force [N]."""
-    body = BODIES[name]
-    spacing, edge = TRUE_SPACING * body.size, TRUE_EDGE[name]
-    return press(body, YOUNG, POISSON, force, PLACE[name], TRUE_CELLS[name], spacing=spacing, edge=edge)
+    body, (cells, edge) = BODIES[name], {"ball": (8, 0.5), "slab": (9, 0.4)}[name]
+    return press(body, YOUNG, POISSON, force, PLACE[name], cells, spacing=body.size / 64, edge=edge * TOOL)
 
 
 @functools.cache
 def fitted_mesh(name: str) -> tuple[Skin, np.ndarray]:
     """Surface and mesh of the fits of a body, and what of it is held."""
-    body = BODIES[name]
-    return body.skin(CELLS[name], SPACING * body.size, around(body.contact(*PLACE[name])[0][None], TOOL, EDGE[name]))
+    body, (cells, edge) = BODIES[name], {"ball": (6, 0.7), "slab": (7, 0.6)}[name]
+    return body.skin(cells, body.size / 56, around(body.contact(*PLACE[name])[0][None], TOOL, edge * TOOL))
 
 
 def fit_from(body: str, sensor: str, start: float, pictures: int) -> Row:

@@ -7,11 +7,6 @@ Writes scene.yaml, rest.obj and observed.csv: a slab of 9 × 9 × 3 cm with E = 
 0.5 N, observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,18 +17,15 @@ from rich.console import Console
 
 from benchmarks.palpation.synthetic import BODIES, TOOL, observe, press
 from palpate.common.command_line import say
+from palpate.common.doors import run_door
 from palpate.common.options import options
 from palpate.common.output import require_own, write_own
-from palpate.estimators.palpation import Palpation
+from palpate.estimators.palpation.bench import Palpation
 from palpate.results.store import OutputError, make_output, writing
 
 FILES = ("scene.yaml", "rest.obj", "observed.csv")
 YOUNG, POISSON, FORCE, PLACE = 1e4, 0.42, 0.5, (0.35, 0.5)
 """The truth, co-rotational [Pa], and with what [N] and where is pressed, as `Body.contact` takes it."""
-CELLS, EDGE, SPACING = 4, 0.6 * TOOL, 0.003
-"""Sizes of the truth's mesh: cells along the slab, longest edge where the tool presses, and the scan's triangles
-[m]."""
-POINTS, SEED = 4000, 73600
 
 
 def scene_files(surface: tuple[np.ndarray, np.ndarray], observed: Palpation, held_below: float, cells: int) -> tuple:
@@ -69,8 +61,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with writing(output):
             require_own(*(output / name for name in FILES))
-        truth = press(BODIES["slab"], YOUNG, POISSON, FORCE, PLACE, CELLS, "corotational", SPACING, EDGE)
-        observed = observe(*truth, "stereo", SEED, count=POINTS)
+        # Four cells along the slab, a scan of triangles of 3 mm, and edges of 0.6 radii where the tool presses.
+        mesh = 4, "corotational", 0.003, 0.6 * TOOL
+        truth = press(BODIES["slab"], YOUNG, POISSON, FORCE, PLACE, *mesh)
+        observed = observe(*truth, "stereo", 73600, count=4000)
         scene, *texts = scene_files((truth[0].vertices, truth[0].triangles), observed, 0.0, 5)
         head = f"# Lengths in metres. The truth: E = {YOUNG:g} Pa, ν = {POISSON:g}.\n"
         make_output(output)

@@ -4,18 +4,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
-from palpate.estimators.palpation import Palpation, Skin, cover
+from palpate.estimators.palpation.bench import Palpation
 from palpate.estimators.palpation.registration import turned
+from palpate.estimators.palpation.skin import Skin, cover
 from palpate.physics.fem import Equilibrium, Material, box, find_equilibrium, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
 from palpate.physics.fem.meshing import Longest, around, refine
 
 SENSORS = {"stereo": 0.0003, "time of flight": 0.001}
 """Noise along the line of sight [m]."""
-POSE_SHIFT, POSE_TURN = 0.002, 0.01
-"""By how much the tool's pose is off, standard deviations [m, rad]."""
+
 TOOL = 0.015
 """Radius of the tool [m]."""
 
@@ -86,15 +87,9 @@ def sphere(halvings: int) -> tuple[np.ndarray, np.ndarray]:
     vertices = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64)
     triangles = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     for _ in range(halvings):
-        pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        edges, which = np.unique(pairs, axis=0, return_inverse=True)
-        middle = len(vertices) + which.reshape(-1, 3)
-        vertices = np.concatenate([vertices, (vertices[edges[:, 0]] + vertices[edges[:, 1]]) / 2])
+        vertices, triangles = trimesh.remesh.subdivide(vertices, triangles)
+        triangles = triangles.reshape(-1, 4, 3).swapaxes(0, 1).reshape(-1, 3)  # the first part of each, then the second
         vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-        one, two, three = triangles.T
-        ab, bc, ca = middle.T
-        parts = (one, ab, ca), (ab, two, bc), (ca, bc, three), (ab, bc, ca)
-        triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
     return vertices, triangles
 
 
@@ -158,5 +153,6 @@ def observe(
     true = np.eye(4)
     true[:3, :3] = Rotation.align_vectors([-direction], [[0, 0, 1.0]])[0].as_matrix()
     true[:3, 3] = eye
-    off = np.concatenate([chance.normal(0, POSE_TURN, 3), chance.normal(0, POSE_SHIFT, 3)])
+    # The tool's pose is off by standard deviations of 0.01 rad and 2 mm.
+    off = np.concatenate([chance.normal(0, 0.01, 3), chance.normal(0, 0.002, 3)])
     return Palpation(force, contact, (points - eye) @ true[:3, :3], turned(true, off), TOOL, 1.1 * TOOL)

@@ -13,13 +13,6 @@ instrument. Writes table.csv (clip, measure, value); the same command judges aga
 draws the same session's fit.png. Not a medical device.
 """
 
-from __future__ import annotations
-
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +21,7 @@ from typing import Any, ClassVar
 
 from benchmarks.harness import OK, Measurements, Row, run
 from palpate.api import open_clip, open_estimator
-from palpate.common.provenance import ROOT
+from palpate.common.doors import run_door
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 from palpate.estimators.session import estimates_of
@@ -82,8 +75,9 @@ def evaluate_pull(clip: PulledClip) -> Row:
     return measures
 
 
+LAYOUTS = Path(__file__).resolve().parents[2] / "configs" / "layouts"
 KNOWN = {
-    "recover_tissue": PulledClip(Path("recover_tissue"), ROOT / "configs/layouts/recover_tissue.yaml"),
+    "recover_tissue": PulledClip(Path("recover_tissue"), LAYOUTS / "recover_tissue.yaml"),
     "video01_00080": PulledClip(Path("cholecseg8k/video01/video01_00080")),
 }
 """Pulled clips, below the data's folder."""

@@ -13,11 +13,6 @@ grips.csv has the answer (see `benchmarks.recovery.grips`).
 suites:
 """
 
-from palpate.common.doors import enter_door, run_door
-
-if __name__ == "__main__":
-    enter_door()  # before the slow imports
-
 import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -31,6 +26,7 @@ from benchmarks.recovery.scores import Scores, score_all, table
 from benchmarks.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, opened, run_trial
 from palpate.common.command_line import size_of
+from palpate.common.doors import run_door
 from palpate.common.options import option
 from palpate.common.settings import LARGEST
 from palpate.data.depth.normalise import MOST_THREADS
@@ -40,13 +36,7 @@ DIRECT = "direct"
 """The estimator that fits grips."""
 NAMES = (DIRECT, "gan", "network")
 """Estimators in the order of tables."""
-LARGEST_SIZE = 4096
-"""Largest side of the pictures [px]."""
-"""Fewer frames after the onset are refused by `direct`."""
-SHOWN_FAILURES = 8
-KINDS = ("press", "grip")
-"""Kinds of suites, in the order of tables."""
-DOCUMENTATION = f"{__doc__}" + "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
+
 Name = Literal["direct", "gan", "network"]
 
 
@@ -84,11 +74,9 @@ class Benchmark(Experiment):
 
     def __post_init__(self) -> None:
         """Raise a ValueError where an option can't be used, or options don't belong together."""
-        if not all(least <= side <= LARGEST_SIZE for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
-            raise ValueError(
-                f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from {'x'.join(map(str, GRID_SIZE))} "
-                f"up, {LARGEST_SIZE} px a side at most."
-            )
+        if not all(least <= side <= 4096 for side, least in zip(self.pixels, GRID_SIZE, strict=True)):
+            problem = f"--size {self.size} is no size of pictures; give WIDTHxHEIGHT from"
+            raise ValueError(f"{problem} {'x'.join(map(str, GRID_SIZE))} up, 4096 px a side at most.")
         if self.seen is not None and "gan" in self.estimator:
             raise ValueError("--seen is of no use to gan, which sees single frames; leave one of the two out.")
         for name, flag, given in (("network", "--model", self.model), ("gan", "--gan-model", self.gan_model)):
@@ -111,17 +99,15 @@ class Benchmark(Experiment):
     def estimators(self) -> dict[str, Any]:
         """Compared estimators by name, in the order of tables."""
         press = {"onset": self.onset, "horizon": self.seen}
-        known: dict[str, dict[str, Any]] = {
-            DIRECT: press,
-            "gan": {"model": self.gan_model, "threads": 1},
-            "network": {"model": self.model, "threads": 1, **press},
-        }
+        known: dict[str, dict[str, Any]] = {DIRECT: press, "gan": {"model": self.gan_model, "threads": 1}}
+        known["network"] = {"model": self.model, "threads": 1, **press}
         return {name: settings_of(name, **known[name]) for name in NAMES if name in self.estimator}
 
     def record(self) -> Mapping[str, Any]:
         """Record of everything the results depend on."""
         found: dict[str, Any] = {"seed": self.seed, "split": self.split, "seen": self.seen, "size": list(self.pixels)}
-        found |= {f"suite {name}": EVERY[name].describe() for name in self.suites}
+        decisive = ("errors", "truth", "turns")
+        found |= {f"suite {name}": {part: getattr(EVERY[name], part) for part in decisive} for name in self.suites}
         for name, settings in self.estimators.items():
             network, onset = getattr(opened(settings), "model", None), getattr(settings, "onset", None)
             found[f"estimator {name}"] = {"model_sha256": getattr(network, "sha256", ""), "onset": onset}
@@ -159,7 +145,7 @@ class Benchmark(Experiment):
         """Tables of presses and of grips."""
         order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
-        presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in KINDS)
+        presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in ("press", "grip"))
         judged = score_all(presses, self.onset)
         tables = {"table.csv": table(judged)} if judged else {}
         shown = [frame[frame["n"] > 0] for frame in tables.values()]
@@ -179,20 +165,21 @@ def _estimated(scores: Scores) -> list[tuple[str, str]]:
     return [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
 
 
-def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
+def _failures(rows: Sequence[Row], most: int = 8) -> list[tuple[str, str]]:
     failed = [row for row in rows if row["status"] != OK]
     lines = []
-    for row in failed[:SHOWN_FAILURES]:
+    for row in failed[:most]:
         clip = f"{row['suite']}, clip {row['index']} ({row.get('regime', row['action'])})"
         lines.append((f"  {clip}: {row['status']}, {row['reason']}", "yellow"))
-    if len(failed) > SHOWN_FAILURES:
+    if len(failed) > most:
         lines.append((f"  {len(failed)} in all: {dict(Counter(row['status'] for row in failed))}", "yellow"))
     return lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark that the command line asks for; returns the exit status."""
-    return run(Benchmark, arguments, "benchmarks.recovery", DOCUMENTATION)
+    suites = "\n".join(f"  {suite.name:12s}{suite.reason}" for suite in EVERY.values())
+    return run(Benchmark, arguments, "benchmarks.recovery", f"{__doc__}{suites}")
 
 
 if __name__ == "__main__":

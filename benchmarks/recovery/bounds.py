@@ -15,18 +15,13 @@ from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.direct.estimator import FITTED, LEAST_OBSERVATIONS
-from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import dent_problem
 from palpate.estimators.onset import BETWEEN
 from palpate.physics.identifiability import box_information
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import RECOMMENDED
-
-MECHANICS = FITTED
-"""Simulator of the bounds."""
-DELAY_BOX = np.array([[-1.0], [1.0]])
-"""Range of a delay in frames."""
 
 
 def field_information(contact: Interaction, scene: Scene, motion: PressedMotion) -> np.ndarray | None:
@@ -44,11 +39,15 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
     # Of what lies so many rows and columns away, as far as the sequence shows that.
     change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
-    recentred = dataclasses.replace(truth, sequence=dataclasses.replace(sequence, change=change))
+    recentred = truth.having(depth=dataclasses.replace(sequence, change=change))
     kind = PressMotion if motion.shape == PressShape() else PatchMotion
-    problem = SequenceProblem(recentred, MECHANICS, within, kind=kind)
-    problem.look(_all(problem, logs, motion))
-    return _of_tissue(problem, logs, motion)
+    problem = dent_problem(recentred, FITTED, within, kind=kind)
+    press = problem.motion
+    every = press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
+    problem.look(every)
+    # The press's shape is unknown, and of the second delay nothing is known where the release was not observed.
+    found = about_tissue(problem.information(every), box_information(press.box(RECOMMENDED.log_box)), len(logs))
+    return np.pad(found, (0, 5 - len(logs)))
 
 
 def known(information: np.ndarray, onset: str) -> np.ndarray:
@@ -59,37 +58,17 @@ def known(information: np.ndarray, onset: str) -> np.ndarray:
     """
     if onset != BETWEEN:
         return information[..., :3, :3]
-    prior = np.diag(np.concatenate([np.zeros(3), np.diag(box_information(np.repeat(DELAY_BOX, 2, axis=1)))]))
+    delays = box_information(np.repeat([[-1.0], [1.0]], 2, axis=1))  # a frame either way
+    prior = np.diag(np.concatenate([np.zeros(3), np.diag(delays)]))
     flat = information.reshape(-1, 5, 5)
     return np.array([about_tissue(item, prior) for item in flat]).reshape(*information.shape[:-2], 3, 3)
 
 
 def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[Interaction, np.ndarray, float]:
     """The contact as it truly was, its parameters [5] ([4] without an observed release), and the frame interval [s]."""
-    within, step = 1 / scene.settings.fps, MECHANICS.time_step
+    within, step = 1 / scene.settings.fps, FITTED.time_step
     seconds = (motion.release_frame - motion.onset_frame) * within if contact.released else np.inf
-    press = Press.at(scene.vertex, scene.direction, held(seconds / step, MECHANICS.steps))
+    press = Press.at(scene.vertex, scene.direction, held(seconds / step, FITTED.steps))
     delays = np.array([motion.delay, motion.release_delay])[: 1 + contact.released] / within
     logs = np.concatenate([np.log(np.abs(motion.theta)), delays])
-    return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step, sequence=None), logs, within
-
-
-def _all(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
-    """True parameters of a problem, from φ and the delays."""
-    press = problem.motion
-    return press.parameters(logs, motion.shape) if isinstance(press, PatchMotion) else logs
-
-
-def _of_tissue(problem: SequenceProblem, logs: np.ndarray, motion: PressedMotion) -> np.ndarray:
-    """Information of log θ and both delays at the truth, shape [5, 5], the press's shape being unknown.
-
-    Of the second delay nothing is known where the release was not observed.
-
-    Args:
-        problem: of the truth, with its
-        logs: φ and delays.
-        motion: the truth.
-    """
-    information = problem.information(_all(problem, logs, motion))
-    prior = box_information(problem.motion.box(RECOMMENDED.log_box))
-    return np.pad(about_tissue(information, prior, len(logs)), (0, 5 - len(logs)))
+    return dataclasses.replace(contact, mesh=scene.mesh, load=press, time_step=step), logs, within

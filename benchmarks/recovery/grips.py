@@ -3,7 +3,6 @@
 `trial` explains the rows' names.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -13,20 +12,16 @@ import pandas as pd
 from benchmarks.harness import Row
 from benchmarks.recovery.scores import coverage, rms
 from palpate.data.synthetic.grip import GrippedMotion
-from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.scene import Scene, project
 from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
-
-COLUMNS = ("suite", "quantity", "n", "rmse", "coverage90", "value")
-AVERAGES = {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}
-"""Numbers of rows whose mean is in the table, and how it is called there."""
 
 
 def gripped(scene: Scene, motion: GrippedMotion, answer: list) -> Row:
     """Compare a grip with the truth."""
     contact = np.array([item.contact is True for item in answer if isinstance(item, FrameEstimate)])
     moves = moving_frames(scene, motion)
-    found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else math.nan}
+    found: Row = {"contact_right": float((contact == motion.in_contact)[moves].mean()) if moves.any() else np.nan}
     runs = [item for item in answer if isinstance(item, InteractionEstimate)]
     run = next((item for item in runs if item.grip is not None), None)
     if run is None or run.grip is None:
@@ -46,6 +41,8 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
     held = vertex[:2] + motion.contact[:, :2]
     place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
     tip = place + motion.course * scene.settings.cell
+    if motion.passage is not None:
+        tip = project(motion.passage.tip, camera)
     steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
     # Tool or tissue moves where either has gone so far since the frame before [px].
     return np.append(False, steps > 1.0)
@@ -68,7 +65,7 @@ def grip_table(rows: Sequence[Row]) -> pd.DataFrame:
     """`grips.csv`: a row a suite and quantity, errors of the force over that of the last frame."""
     suites = dict.fromkeys(row["suite"] for row in rows)
     found = [{"suite": suite} | cells for suite in suites for cells in _quantities(rows, suite)]
-    return pd.DataFrame(found, columns=COLUMNS)
+    return pd.DataFrame(found, columns=("suite", "quantity", "n", "rmse", "coverage90", "value"))
 
 
 def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:
@@ -80,7 +77,7 @@ def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:
     if of("curve"):
         off, sd = curve_errors(of("curve"))
         yield {"quantity": "relative force", "n": len(off), "rmse": rms(off), "coverage90": coverage(off, sd)}
-    for name, text in AVERAGES.items():
+    for name, text in {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}.items():
         if of(name):
             yield {"quantity": text, "n": len(of(name)), "value": float(np.mean(of(name)))}
     determined = of("verdict").count("relative_force")

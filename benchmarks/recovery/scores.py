@@ -24,10 +24,7 @@ COLUMNS = (
     "estimator", "suite", "regime", "parameter", "n",
     "rmse_log", "bound_log", "ratio", "constant_rmse_log", "coverage90",
 )  # fmt: skip
-NON_IDENTIFIABLE = "non-identifiable"
-"""In the column of regimes: clips of any regime with a parameter whose bound is not below the limit."""
-EVERY = "every clip"
-"""In the column of regimes, of a parameter: identifiable or not. Intervals are calibrated to hold over these."""
+
 TO_QUANTITIES = np.vstack((np.eye(3), RATIOS))
 """From log θ to the logarithms of QUANTITIES, shape [5, 3]."""
 
@@ -66,14 +63,14 @@ class Scores:
     def groups(self, quantity: int) -> dict[str, np.ndarray]:
         """Clips [n] bool that a quantity's rows of the table are about, by the name in the column of regimes.
 
-        Parameters: the clips whose own bound lies below the limit, and every clip. Ratios: all clips, and the
-        non-identifiable ones.
+        Parameters: the clips whose own bound lies below the limit, and every clip, over which intervals are calibrated
+        to hold. Ratios: all clips, and the non-identifiable ones, of which some parameter's bound is not below it.
         """
         every = np.ones(len(self.rows), bool)
         if quantity < len(PARAMETERS):
-            used, extra, clips = self.identifiable[:, quantity], EVERY, every
+            used, extra, clips = self.identifiable[:, quantity], "every clip", every
         else:
-            used, extra, clips = every, NON_IDENTIFIABLE, (~self.identifiable).any(axis=1)
+            used, extra, clips = every, "non-identifiable", (~self.identifiable).any(axis=1)
         found: dict[str, np.ndarray] = {regime: used & (self.regimes == regime) for regime in REGIMES}
         return found | {"all": used, extra: np.asarray(clips)}
 
@@ -110,11 +107,10 @@ def deviations(covariances: np.ndarray) -> np.ndarray:
 
 def score_all(rows: Sequence[Row], onset: str = STAMP) -> list[Scores]:
     """Scores of every estimator and suite, in the order in which they first appear; arguments as in `score`."""
-    found = []
-    for estimator, suite in dict.fromkeys((row["estimator"], row["suite"]) for row in rows):
-        own = [row for row in rows if (row["estimator"], row["suite"]) == (estimator, suite)]
-        found.append(score(own, onset))
-    return found
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["estimator"], row["suite"]), []).append(row)
+    return [score(own, onset) for own in groups.values()]
 
 
 def rms(values: np.ndarray) -> float:

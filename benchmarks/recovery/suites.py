@@ -2,8 +2,8 @@
 
 Clip i of a split has the same truth in every suite, because errors of observation have random streams of their own
 (`data.synthetic.clip.draw_truth`); `mismatch` moves otherwise on the same geometry, `late-onset` moves the same, but
-later, and `oblique` has other geometry. Regimes take turns: clip 0 is under-damped, 1 critical, 2 over-damped, 3
-under-damped again.
+later, and `oblique` and `filled` have other geometry. Regimes take turns: clip 0 is under-damped, 1 critical, 2
+over-damped, 3 under-damped again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,8 +22,6 @@ GRID_SIZE = (214, 120)
 SPLITS = {"training": 1, "validation": 2, "test": 3}
 """First number of each split's random stream."""
 LARGEST_SEED = 2**32 - 1
-_STREAM = 0x70A17A7E
-"""Tells these streams from any other use of the same seed, such as `data.synthetic.clip.clip_seed`."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +53,6 @@ class Suite:
         """Return the settings of synthetic clips with the suite's errors of observation."""
         return replace(self.truth_settings(index, size), **self.errors)
 
-    def describe(self) -> dict[str, Any]:
-        """What decides the suite's clips, for the run's record."""
-        return {name: getattr(self, name) for name in ("errors", "truth", "turns")}
-
 
 def _read() -> Iterator[Suite]:
     """All suites, in the order of tables; what a suite says of a field counts more than what all of its kind say."""
@@ -83,5 +77,6 @@ def suite_clip_seed(split: str, seed: int, index: int) -> int:
         seed: of the benchmark, 0 to 2³² - 1.
         index: number of the clip in its split.
     """
-    stream = np.random.SeedSequence((_STREAM, SPLITS[split], seed, index))
+    # The first number tells these streams from any other use of the same seed, such as `data.synthetic.clip.clip_seed`.
+    stream = np.random.SeedSequence((0x70A17A7E, SPLITS[split], seed, index))
     return int(stream.generate_state(1, np.uint64)[0])

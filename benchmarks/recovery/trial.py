@@ -28,14 +28,14 @@ curve                           force over that of the last frame: true, estimat
 
 import functools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.harness import OK, Row, attempted
-from benchmarks.recovery.bounds import MECHANICS, field_information
+from benchmarks.recovery.bounds import field_information
 from benchmarks.recovery.grips import gripped
 from benchmarks.recovery.suites import EVERY, GRID_SIZE
 from palpate.common.doors import interruptible
@@ -48,6 +48,7 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.contract import ClipInfo, Estimator
+from palpate.estimators.direct.estimator import FITTED
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import RunTracker
@@ -122,10 +123,7 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Any]) -> list
     known |= found
     if compare is None:
         return failed(known["status"], known["reason"])
-    rows = []
-    for name, candidate in candidates.items():
-        rows.append(known | {"estimator": name} | estimated(candidate, clip, compare))
-    return rows
+    return [known | {"estimator": name} | estimated(one, clip, compare) for name, one in candidates.items()]
 
 
 def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
@@ -176,17 +174,15 @@ def _pressed(onset: int, answer: list) -> Row:
     }
 
 
-def observed_contacts(
-    frames: Sequence[PreparedFrame], clip: ClipInfo, horizon: Horizon = None
-) -> dict[int, Interaction]:
+def observed_contacts(frames: list[PreparedFrame], clip: ClipInfo, horizon: Horizon = None) -> dict[int, Interaction]:
     """Every run of contact whose onset was observed and whose tissue was followed, by the frame of its onset.
 
     Args:
         frames: of the whole clip.
         horizon: how much of each counts.
     """
-    runs = RunTracker(clip, MECHANICS.seconds)
+    runs = RunTracker(clip, FITTED.seconds)
     ended = [*(runs.push(frame) for frame in frames), runs.finish()]
     known = [(run.index, run.builder) for run in ended if run is not None]
-    found = {index: builder.build(MECHANICS, horizon) for index, builder in known if builder is not None}
+    found = {index: builder.build(FITTED, horizon) for index, builder in known if builder is not None}
     return {onset: contact for onset, contact in found.items() if len(contact.observation)}

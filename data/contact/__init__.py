@@ -10,7 +10,7 @@ shaft          how long a scene unit is, by the known diameter of an instrument'
 lit_frame      where a frame's tissue has darkened, and where instruments are in it
 motion         the contact's motion from frame to frame and since its onset
 tissue_points  places in a picture as points in space; refinement: where a young contact presses
-depth_sequence  depth around a contact from frame to frame; patches: which of the mesh's vertices its pixels show
-interaction    the frames of a run of contact as mesh, load, observation and depth-change sequence
+depth_sequence  depth around a contact from frame to frame
+interaction    the frames of a run of contact as mesh, load and records of observations
 features       an interaction as the vector that networks read; sequence_features: its depth-change sequence likewise
 """

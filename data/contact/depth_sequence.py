@@ -2,25 +2,22 @@
 
 A contact is one point of a dent; its surroundings sink with it and determine far more
 (docs/reports/identifiability.md).
-Pixels stay where they are while tissue moves: which of the mesh's vertices a pixel shows is for `data.contact.patches`
+Pixels stay where they are while tissue moves: which of the mesh's vertices a pixel shows is for `physics.patches`
 to say.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import math
-from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
 from palpate.data.labels import TISSUE
+from palpate.physics.depth import DepthSequence, SequenceNoise
 from palpate.physics.mesh import Mesh
+from palpate.physics.patches import REACH
 
-REACH = 7
-"""Pixels up to so many rows and columns from the contact are compared: of nine simulated contacts, those up to 6 away
-held all but a twentieth of what all determine, those up to 8 all but a hundredth."""
 FAR = 25
 """The depth's noise and the camera's motion are measured at least so far from the contact [grid pixels]."""
 MIN_FAR = 200
@@ -30,58 +27,6 @@ OUTLIER = 4.0
 STILL_SHARE = 0.1
 """A part of the noise that stays the same over time is distinguished from none where it is this share of the other, in
 variance."""
-ROUNDED = 0.5
-"""Errors that stay belong to rounding where those that are new are less than this share of them."""
-REST_SHARE, REST_LENGTH = 0.1, 5.0
-"""Standard deviation of the rest surface's error [σ], and its correlation length [grid pixels]."""
-REST_KEPT = 0.99
-"""Share of its variance that is taken into account."""
-
-
-@dataclass(frozen=True)
-class SequenceNoise:
-    """Errors of the depth of a clip's tissue."""
-
-    in_time: float
-    """Standard deviation of what is new in every frame [scene units]."""
-    in_place: float
-    """Standard deviation of what stays while tissue is still: rounding, the rest surface's error [scene units]."""
-    correlated_in_time: float = 1.0
-    """Independent pixels are this many times fewer than pixels: neighbours' new errors go together."""
-    correlated_in_place: float = 1.0
-    """Number of pixels that count as one, for errors that stay."""
-
-    @property
-    def rounded(self) -> bool:
-        """Whether they are those of rounding: hardly any is new while tissue is still."""
-        return self.in_time < ROUNDED * self.in_place
-
-    @property
-    def total(self) -> float:
-        """Standard deviation of a pixel's error [scene units]."""
-        return math.hypot(self.in_time, self.in_place)
-
-
-@dataclass(frozen=True, eq=False)
-class DepthSequence:
-    """Depth around a contact over a run; N frames, S = 2·REACH + 1."""
-
-    times: np.ndarray
-    """Since the onset, shape [N] [s]."""
-    change: np.ndarray
-    """Depth less that at rest, the camera's motion taken off, the contact's pixel in the middle, shape [N, S, S],
-    float32 [scene units]; not a number where no tissue is visible."""
-    noise: SequenceNoise
-    size: tuple[int, int]
-    """Width and height of the picture that was brought to the grid [px]."""
-
-    def is_finer_than(self, grid_shape: tuple[int, int]) -> bool:
-        """Whether a pixel of a grid [h, w] is the mean of several of the picture."""
-        return self.size[0] > grid_shape[1] or self.size[1] > grid_shape[0]
-
-    def chosen(self, frames: np.ndarray) -> DepthSequence:
-        """Some of its frames: a mask [N] or indices."""
-        return dataclasses.replace(self, times=self.times[frames], change=self.change[frames])
 
 
 class SequenceRecorder:
@@ -110,15 +55,23 @@ class SequenceRecorder:
         self._measured: list[tuple[np.ndarray, int]] = []
         """`_products` of the first frame's errors, and of every two frames' difference."""
 
-    def frame(self, depth: np.ndarray, labels: np.ndarray) -> np.ndarray | None:
-        """Change of the depth in a frame, shape [S, S] as in `DepthSequence`; None where the camera's motion isn't
-        known.
+    @classmethod
+    def of(cls, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int], onset: Any) -> Self | None:
+        """Begin with the first frame of a run; None where the noise isn't known."""
+        if not math.isfinite(noise):
+            return None
+        found = cls(mesh, vertex, float(np.float32(noise)), size)
+        found.frame(onset)
+        return found
 
-        Args:
-            depth: z, shape [h, w] [scene units], 0 = invalid.
-            labels: label map, shape [h, w].
+    def frame(self, frame: Any) -> np.ndarray | None:
+        """Change of the depth in a frame, shape [S, S] as in `DepthSequence`; None where the camera's motion isn't
+        known, or a stored frame comes without its depth.
         """
-        visible = np.where((labels == TISSUE) & (depth > 0), depth, np.nan)
+        depth = frame.depth
+        if depth is None:
+            return None
+        visible = np.where((frame.labels == TISSUE) & (depth > 0), depth, np.nan)
         # Scale and tilt are the camera's or the depth network's; they are relative to the distance.
         far = visible.ravel()[self._far]
         known = valid = np.isfinite(far)
@@ -168,7 +121,7 @@ class SequenceRecorder:
         in_time = _correlated(changes, pairs) if new > STILL_SHARE * still else 1.0
         return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _correlated(first - 0.5 * changes, first_pairs))
 
-    def sequence(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
+    def record(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
         """The sequence of some frames, its noise as measured in the first frame and so many `known` ones after it."""
         size = 2 * REACH + 1
         stacked = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
@@ -196,18 +149,3 @@ def _correlated(products: np.ndarray, pairs: int) -> float:
             # Noise of pixels that are farther apart than 12 grid pixels is independent.
             found *= 1 + 2 * float(np.power(correlation, np.arange(1, 13) ** 2).sum())
     return found
-
-
-def smooth_errors(sigma: float) -> np.ndarray:
-    """Columns whose sum, with independent normal factors, is the rest surface's error, shape [P, K] [as σ]."""
-    return sigma * _smooth_shapes()
-
-
-@functools.cache
-def _smooth_shapes() -> np.ndarray:
-    places = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
-    squares = np.square(places[:, None] - places).sum(axis=-1)
-    values, vectors = np.linalg.eigh(np.exp(-0.5 * squares / REST_LENGTH**2))
-    values, vectors = values[::-1], vectors[:, ::-1]
-    count = int(np.searchsorted(np.cumsum(values) / values.sum(), REST_KEPT)) + 1
-    return REST_SHARE * vectors[:, :count] * np.sqrt(values[:count])

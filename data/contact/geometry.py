@@ -6,7 +6,9 @@ that z is in (0, 1] and 0 means "no depth". Label maps hold 0 = other, 1 = tissu
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, cached_property, partial
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -113,14 +115,10 @@ class RestTissue(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameGeometry:
-    """What one frame in contact gives the simulator (Bini 2026, section 3.2.2)."""
+    """What one frame in contact gives the simulator (Bini 2026, section 3.2.2); the mesh is made on demand."""
 
-    mesh: Mesh
-    """Tissue surface."""
-    vertex: int
-    """idx*: the mesh vertex nearest to the contact point."""
-    normal: np.ndarray
-    """n*, shape [3], unit length, towards the camera (equations 5-8)."""
+    make_mesh: Callable[[], Mesh]
+    """Return the tissue's surface."""
     tool_point: np.ndarray
     """g*, shape [3] [scene units]; not a number where the tool has no depth."""
     tissue_point: np.ndarray
@@ -134,6 +132,23 @@ class FrameGeometry:
     noise: float = math.nan
     """Standard deviation of the tissue's depth about its smoothed surface [scene units]; not a number without
     `GeometrySettings.smoothing`."""
+    surface: np.ndarray | None = None
+    """Depth of the visible tissue by which the mesh is made, shape [h, w] [scene units]; None = another."""
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Tissue surface."""
+        return self.make_mesh()
+
+    @cached_property
+    def vertex(self) -> int:
+        """idx*: the mesh vertex nearest to the contact point."""
+        return nearest_vertex(self.mesh, self.tissue_point)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """n*, shape [3], unit length, towards the camera (equations 5-8)."""
+        return contact_normal(self.mesh, self.vertex)
 
 
 def frame_geometry(
@@ -172,14 +187,12 @@ def frame_geometry(
         points = np.where(tool[..., None], back_project(tool_depth(depth, tool), camera), points)
     pair = _outline_pair(points, tool, tissue, settings) if outlined else _cloud_pair(points, tool, tissue, settings)
     (tool_row, tool_column), (row, column) = pair
-    mesh = tissue_mesh(sheet, labels, settings, rest)
+    make_mesh, _ = _mesh_around(row, column, sheet, labels, settings, rest)
     tissue_point = points[row, column]
     tool_point = points[tool_row, tool_column] if depth[tool_row, tool_column] > 0 else np.full(3, np.nan, np.float32)
-    vertex = nearest_vertex(mesh, tissue_point)
     distance = float(np.linalg.norm(tool_point - tissue_point))
-    normal = contact_normal(mesh, vertex)
     pixel = int(column), int(row)
-    return FrameGeometry(mesh, vertex, normal, tool_point, tissue_point, distance, pixel, touching, noise)
+    return FrameGeometry(make_mesh, tool_point, tissue_point, distance, pixel, touching, noise, rest.depth)
 
 
 def dent_geometry(
@@ -193,11 +206,12 @@ def dent_geometry(
     """
     rest, noise = smooth_rest(depth, labels, settings, rest)
     sheet = back_project(rest.depth, camera)
-    mesh = tissue_mesh(sheet, labels, settings, rest)
-    vertex = nearest_vertex(mesh, sheet[pixel[1], pixel[0]])
-    (row, column), nowhere = mesh.pixels[vertex].tolist(), np.full(3, np.nan, np.float32)
-    normal, point = contact_normal(mesh, vertex), mesh.vertices[vertex]
-    return FrameGeometry(mesh, vertex, normal, nowhere, point, math.nan, (column, row), False, noise)
+    column, row = pixel
+    make_mesh, inside = _mesh_around(row, column, sheet, labels, settings, rest)
+    if not inside:
+        row, column = make_mesh().pixels[nearest_vertex(make_mesh(), sheet[row, column])].tolist()
+    nowhere, point = np.full(3, np.nan, np.float32), sheet[row, column]
+    return FrameGeometry(make_mesh, nowhere, point, math.nan, (column, row), False, noise, rest.depth)
 
 
 def smooth_rest(
@@ -238,18 +252,26 @@ def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySetting
     return mesh
 
 
+def _mesh_around(
+    row: int, column: int, sheet: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue
+) -> tuple[Callable[[], Mesh], bool]:
+    """Return what makes the mesh as in `tissue_mesh`, once, and whether a grid pixel is known to be its vertex."""
+    make_mesh = cache(partial(tissue_mesh, sheet, labels, settings, rest))
+    top, left = max(row - 2, 0), max(column - 2, 0)
+    around = np.s_[top : row + 3, left : column + 3]
+    pixels = grid_mesh(sheet[around], rest.known[around], max_edge=settings.max_edge).pixels.tolist()
+    if settings.keep < 1 or not pixels:
+        make_mesh()  # without any triangle there is an error at once
+        return make_mesh, False
+    return make_mesh, [row - top, column - left] in pixels
+
+
 def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:
     """Return the frame with the mesh's vertex at the grid pixel (u, v) as its contact."""
     vertex = int(np.flatnonzero((geometry.mesh.pixels == pixel[::-1]).all(axis=1))[0])
     point = geometry.mesh.vertices[vertex]
-    return dataclasses.replace(
-        geometry,
-        vertex=vertex,
-        normal=contact_normal(geometry.mesh, vertex),
-        tissue_point=point,
-        distance=float(np.linalg.norm(geometry.tool_point - point)),
-        pixel=pixel,
-    )
+    distance = float(np.linalg.norm(geometry.tool_point - point))
+    return dataclasses.replace(geometry, tissue_point=point, distance=distance, pixel=pixel)
 
 
 def force_direction(normal: np.ndarray, displacement: np.ndarray | None, settings: GeometrySettings) -> np.ndarray:

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from palpate.data.contact.depth_sequence import DepthSequence, SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
-from palpate.data.shading.registration import View
-from palpate.data.shading.sequence import RestingLight, ShadingRecorder, ShadingSequence
+from palpate.data.prepared import PreparedFrame
+from palpate.data.shading.sequence import ShadingSequence
+from palpate.physics.depth import DepthSequence
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
@@ -31,6 +32,22 @@ SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 
 
+class Recorder(Protocol):
+    """Gathers one kind of observation of a run of contact."""
+
+    def frame(self, frame: Any, /) -> Any | None:
+        """Return what the next frame after the onset adds; None = nothing."""
+
+    def record(self, times: np.ndarray, values: list[Any], known: int, /) -> Any:
+        """Return what was observed, a record: its `times` [N], and `chosen`, the same at a mask [N] or indices.
+
+        Args:
+            times: of the frames that count, since the onset [s].
+            values: what they added.
+            known: number of frames that had added something by then.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class Interaction:
     """What the simulator needs to replay a run of contact, and what was observed of it."""
@@ -39,16 +56,33 @@ class Interaction:
     """Tissue at rest."""
     load: Press
     """What acts on it; ``held`` to its last step where the release was not observed."""
-    observation: Observation
-    """The followed points."""
+    observations: Mapping[str, Any]
+    """Records by the names of observations (`observations.kinds`), and that of the followed point."""
     time_step: float
     """Time step of the load [s]."""
-    sequence: DepthSequence | None = None
-    """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
-    shading: ShadingSequence | None = None
-    """Light around the contact; None where it wasn't kept, or nothing was observed of it at rest."""
     intervals: int = 1
     """Frame intervals within which the press began, and ended; more than 1 where frames before those are gaps."""
+
+    @property
+    def observation(self) -> Observation:
+        """The followed points."""
+        return self.observations["point"]
+
+    @property
+    def sequence(self) -> DepthSequence | None:
+        """Depth of all tissue around the contact; None where it wasn't kept or its noise isn't known."""
+        return self.observations.get("depth")
+
+    @property
+    def shading(self) -> ShadingSequence | None:
+        """Light around the contact; None where it wasn't kept, or nothing was observed of it at rest."""
+        return self.observations.get(SHADING)
+
+    def having(self, **records: Any) -> Interaction:
+        """Return the contact with other records; None = without one of that name."""
+        both = {**self.observations, **records}
+        kept = {name: record for name, record in both.items() if record is not None}
+        return dataclasses.replace(self, observations=kept)
 
     @property
     def vertex(self) -> int:
@@ -96,41 +130,33 @@ class Interaction:
         return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
 
     def observed(self, instants: np.ndarray) -> Interaction:
-        """Return the interaction, observed at some of its instants only, a mask or indices; its sequence as far as the
+        """Return the interaction, observed at some of its instants only, a mask or indices; other records as far as the
         last."""
-        observation, sequence, shading = self.observation.chosen(instants), self.sequence, self.shading
-        last = observation.times[-1] + SAME_INSTANT if len(observation) else -math.inf
-        if sequence is not None:
-            sequence = sequence.chosen(sequence.times <= last)
-        if shading is not None:
-            shading = shading.chosen(shading.times <= last)
-        return dataclasses.replace(self, observation=observation, sequence=sequence, shading=shading)
+        point = self.observation.chosen(instants)
+        last = point.times[-1] + SAME_INSTANT if len(point) else -math.inf
+        others = {name: record.chosen(record.times <= last) for name, record in self.observations.items()}
+        return self.having(**others | {"point": point})
 
 
-@dataclass(frozen=True)
-class ContactFrame:
-    """What is known of a run of contact by one frame."""
+class PointRecorder:
+    """Gathers the positions of the contact vertex.
 
-    time_s: float
-    """Time stamp [s]."""
-    contact: bool
-    """Whether the tool touches the tissue."""
-    out_of_contact: bool
-    """Whether the frame was observed out of contact; without depth or mask nobody knows."""
-    consecutive: bool
-    """Whether the next frame bears the next number."""
-    position: np.ndarray
-    """Where the followed tissue is, shape [3] [scene units]; not a number where it is lost."""
-    depth: np.ndarray | None = None
-    """z on the grid, shape [h, w] [scene units], 0 = invalid; None where no depth-change sequence is kept."""
-    labels: np.ndarray | None = None
-    """Label map on the grid, shape [h, w]."""
-    light: np.ndarray | None = None
-    """Logarithm of the tissue's light, as in `data.shading.light.log_light`; None where it isn't looked at."""
-    light_view: View | None = None
-    """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
-    skipped: int = 0
-    """Number of frames right before it that measure nothing."""
+    Args:
+        vertex, rest: the contact vertex, and where it is at rest, shape [3] [scene units].
+        noise: standard deviation of the depth [scene units].
+    """
+
+    def __init__(self, vertex: int, rest: np.ndarray, noise: float) -> None:
+        self._vertex, self._rest, self._noise = vertex, rest, noise
+
+    def frame(self, frame: PreparedFrame) -> np.ndarray | None:
+        """Displacement, shape [3]; None where the tissue is lost."""
+        position = np.asarray(frame.track_position, np.float32)
+        return position - self._rest if np.isfinite(position).all() else None
+
+    def record(self, times: np.ndarray, values: list[np.ndarray], _: int) -> Observation:
+        """See `Recorder`."""
+        return Observation.of_point(self._vertex, times, np.array(values, np.float32).reshape(-1, 3), self._noise)
 
 
 class InteractionBuilder:
@@ -142,8 +168,7 @@ class InteractionBuilder:
         onset: the first frame in contact.
         settings: the force's direction is taken from here.
         seconds: how long the motion counts [s].
-        size: width and height of the pictures [px]; None = keep no depth-change sequence.
-        rest_light: light of the tissue at rest; None = keep no shading sequence.
+        recorders: by the names of observations, that of the followed point apart.
     """
 
     def __init__(
@@ -152,18 +177,15 @@ class InteractionBuilder:
         vertex: int,
         normal: np.ndarray,
         noise: float,
-        onset: ContactFrame,
+        onset: PreparedFrame,
         settings: GeometrySettings,
         seconds: float,
-        size: tuple[int, int] | None = None,
-        rest_light: RestingLight | None = None,
+        recorders: Mapping[str, Recorder] = {},
     ) -> None:
         self.mesh, self.vertex, self.normal, self.settings = mesh, vertex, normal, settings
-        # In single precision, and positions below: what networks are trained on, whatever a frame comes from.
-        self.noise = float(np.float32(noise))
         self.start, self.seconds = onset.time_s, seconds
         # Where the noise is known, so is the rest surface: the mean of many frames, without the onset's own error.
-        rest = mesh.vertices[vertex] if math.isfinite(noise) else onset.position
+        rest = mesh.vertices[vertex] if math.isfinite(noise) else onset.track_position
         self.rest = np.asarray(rest, np.float32)
         """Where the contact vertex is at rest, shape [3], float32 [scene units]."""
         self.pressed = 0
@@ -173,46 +195,25 @@ class InteractionBuilder:
 
         A frame without depth or mask says nothing about contact: after it the load isn't known any more.
         """
-        self._count, self._followed_on, self._intervals = 1, onset.consecutive, 1 + onset.skipped
-        self._followed: list[tuple[int, float, np.ndarray]] = []
-        known = math.isfinite(self.noise)
-        self._recorder = SequenceRecorder(mesh, vertex, self.noise, size) if size is not None and known else None
-        self._sequence: list[tuple[int, float, np.ndarray]] = []
-        self._sequence_of(onset)
-        pixel, view = mesh.pixels[vertex], onset.light_view
-        pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
-        self._light = None if rest_light is None else ShadingRecorder(rest_light.median(), pixel)
-        self._reference = None if view is None else view.reference
-        self._brightness: list[tuple[int, float, np.ndarray]] = []
+        self._count, self._followed_on, self._intervals = 1, onset.consecutive, 1 + len(onset.skipped)
+        # In single precision, and positions, too: what networks are trained on, whatever a frame comes from.
+        point = PointRecorder(vertex, self.rest, float(np.float32(noise)))
+        self._recorders: dict[str, Recorder] = {"point": point, **recorders}
+        self._added: dict[str, list[tuple[int, float, Any]]] = {name: [] for name in self._recorders}
+        """What frames added, with their numbers and times since the onset [s]."""
 
-    def add(self, frame: ContactFrame) -> None:
+    def add(self, frame: PreparedFrame) -> None:
         """The next frame."""
         index, since = self._count, frame.time_s - self.start
         self._count += 1
-        if frame.contact:
+        if frame.in_contact:
             self.pressed, self._followed_on, self.load_seconds = index, frame.consecutive, None
         elif index == self.pressed + 1 and self._followed_on and frame.out_of_contact:
-            self.load_seconds, self._intervals = since, max(self._intervals, 1 + frame.skipped)
-        position = np.asarray(frame.position, np.float32)
-        if since >= self.seconds:
-            return
-        if np.isfinite(position).all():
-            self._followed.append((index, since, position))
-        change = self._sequence_of(frame)
-        if change is not None:
-            self._sequence.append((index, since, change))
-        reference = None if frame.light_view is None else frame.light_view.reference
-        if self._light is None or frame.light is None or reference != self._reference:
-            return
-        light = self._light.frame(frame.light)
-        if light is not None:
-            self._brightness.append((index, since, light))
-
-    def _sequence_of(self, frame: ContactFrame) -> np.ndarray | None:
-        """What a frame adds to the depth-change sequence."""
-        if self._recorder is None or frame.depth is None or frame.labels is None:
-            return None
-        return self._recorder.frame(frame.depth, frame.labels)
+            self.load_seconds, self._intervals = since, max(self._intervals, 1 + len(frame.skipped))
+        for name, recorder in self._recorders.items() if since < self.seconds else ():
+            value = recorder.frame(frame)
+            if value is not None:
+                self._added[name].append((index, since, value))
 
     def build(self, mechanics: Mechanics, horizon: Horizon = None, until: float | None = None) -> Interaction:
         """The run as far as it was observed; maybe without any observation.
@@ -226,27 +227,17 @@ class InteractionBuilder:
         step, steps = mechanics.time_step, mechanics.steps
         last = self.pressed if self.load_seconds is None or horizon == PRESS else math.inf
         last = min(last, horizon) if isinstance(horizon, int) else last
-
-        def counts(index: int, since: float) -> bool:
-            return index <= last and step / 2 <= since < mechanics.seconds and (until is None or since <= until)
-
-        followed = [(since, position) for index, since, position in self._followed if counts(index, since)]
-        moved = np.array([position - self.rest for _, position in followed], np.float32).reshape(-1, 3)
-        farthest = max(moved, key=np.linalg.norm, default=np.zeros(3, np.float32))
+        latest, records = math.inf if until is None else until, {}
+        for name, recorder in self._recorders.items():
+            known = [item for item in self._added[name] if item[1] <= latest]
+            kept = [item for item in known if item[0] <= last and step / 2 <= item[1] < mechanics.seconds]
+            times = np.array([since for _, since, _ in kept])
+            records[name] = recorder.record(times, [value for *_, value in kept], len(known))
+        moved: np.ndarray = records["point"].displacement[0]
+        farthest = moved[np.linalg.norm(moved, axis=1).argmax()] if len(moved) else np.zeros(3, np.float32)
         loaded = steps if self.load_seconds is None else int(np.clip(round(self.load_seconds / step), 1, steps))
         if until is not None:
             loaded = min(loaded, round(until / step))
         direction = force_direction(self.normal, farthest, self.settings)
         press = Press.at(self.vertex, direction, held(loaded, steps))
-        observation = Observation.of_point(self.vertex, np.array([since for since, _ in followed]), moved, self.noise)
-        sequence = None
-        if self._recorder is not None:
-            kept = [(since, change) for index, since, change in self._sequence if counts(index, since)]
-            known = sum(until is None or since <= until for _, since, _ in self._sequence)
-            times = np.array([since for since, _ in kept])
-            sequence = self._recorder.sequence(times, [change for _, change in kept], known)
-        shading = None
-        if self._light is not None:
-            lit = [(since, light) for index, since, light in self._brightness if counts(index, since)]
-            shading = self._light.sequence(np.array([since for since, _ in lit]), [light for _, light in lit])
-        return Interaction(self.mesh, press, observation, step, sequence, shading, self._intervals)
+        return Interaction(self.mesh, press, records, step, self._intervals)

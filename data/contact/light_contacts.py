@@ -9,6 +9,7 @@ where nothing has changed, none is. What a pull does to tissue hardly shows in i
 import math
 from collections import deque
 from collections.abc import Sequence
+from functools import cache
 
 import cv2
 import numpy as np
@@ -88,12 +89,13 @@ class LightContacts:
         gap = self._forget() if number is not None and not prepared.follows(number) else []
         if self._registration is None:
             self._registration = Registration(prepared.depth.shape)
-        view, picture, labels = self._registration.push(prepared.shown, *prepared.view)
+        view, registered = self._registration.push(prepared.shown)
         another = self._view is not None and view.reference != self._view.reference
-        prepared.light, prepared.light_view = log_light(picture, labels, prepared.depth.shape), view
+        shape = prepared.depth.shape
+        prepared.make_light, prepared.light_view = cache(lambda: log_light(*registered(), shape)), view
         self._view = view
         decided = gap + (self._forget() if another else [])
-        lit = LitFrame.of(prepared, prepared.light, view, picture, labels, self._tips)
+        lit = LitFrame.of(prepared, prepared.make_light, view, registered, self._tips)
         self._tips = lit.tips
         if len(self._rest):
             return decided + self._decided(lit)
@@ -112,7 +114,7 @@ class LightContacts:
         """The first frames, by the light of the earliest of them."""
         first, self._first = self._first, []
         for lit in first[:FEWEST_REST]:
-            self._rest.push(lit.light)
+            self._rest.push(lit.make_light)
         self._free |= 2 * sum(not lit.prepared.in_contact for lit in first[:FEWEST_REST]) > FEWEST_REST
         return [prepared for lit in first for prepared in self._decided(lit)]
 
@@ -197,7 +199,7 @@ class LightContacts:
         done, self._waiting = self._waiting[: max(count, 0)], self._waiting[max(count, 0) :]
         for lit in done:
             if lit.dent is None:
-                self._rest.push(lit.light)
+                self._rest.push(lit.make_light)
                 self._free |= not lit.prepared.in_contact
                 if self._free and lit.change is not None and not lit.prepared.contact_probability >= CERTAIN:
                     _out_of_contact(lit.prepared, UNCHANGED if lit.darkness < DARKER else NO_DENT)
@@ -205,7 +207,7 @@ class LightContacts:
 
     def _compare(self, lit: LitFrame) -> None:
         """Look for a dent next to an instrument, or where one was."""
-        change = change_of_light(lit.light, self._rest.median())
+        change = change_of_light(lit.make_light(), self._rest.median())
         if change is None:
             return
         # What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out.

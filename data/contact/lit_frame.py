@@ -1,7 +1,7 @@
 """A frame and how its light differs from that at rest: where instruments are, and where tissue has darkened."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -29,8 +29,8 @@ class LitFrame:
     """A frame and how its light differs from that at rest."""
 
     prepared: PreparedFrame
-    light: np.ndarray
-    """Logarithm of light as `log_light` gives it, in the view of the reference, as all that follows."""
+    make_light: Callable[[], np.ndarray]
+    """Return the light as in `log_light`, in the view of the reference, as all that follows."""
     view: View
     """How the frame's grid lies in the reference's."""
     away: np.ndarray
@@ -62,32 +62,33 @@ class LitFrame:
     def of(
         cls,
         prepared: PreparedFrame,
-        light: np.ndarray,
+        make_light: Callable[[], np.ndarray],
         view: View,
-        picture: np.ndarray,
-        labels: np.ndarray,
+        registered: Callable[[], tuple[np.ndarray, np.ndarray]],
         before: Sequence[np.ndarray],
     ) -> "LitFrame":
         """A frame and where its instruments are; nothing is compared yet.
 
         Args:
-            picture, labels: in the view of the reference.
+            registered: returns picture and labels in the view of the reference.
             before: the tips in the frame before.
         """
         size = prepared.labels.shape[::-1]
-        tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
-        field = cv2.resize(lit_field(picture).astype(np.uint8), size) > 0
-        ends, standing = np.zeros(tool.shape, bool), np.zeros(tool.shape, bool)
-        tips, moves = [], False
-        for tip in tool_tips(tool, field, TIP, LEAST_TIP):
+        tool, ends, standing = np.zeros((3, *prepared.labels.shape), bool)
+        tips, moves, found = [], False, []
+        if prepared.shown.tool.any():
+            picture, labels = registered()
+            tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+            found = tool_tips(tool, cv2.resize(lit_field(picture).astype(np.uint8), size) > 0, TIP, LEAST_TIP)
+        for tip in found:
             middle = tip.mean(axis=0)[::-1]
             stands = any(np.linalg.norm(middle - other) < STILL for other in before)
             ends[tip[:, 1], tip[:, 0]] = True
             standing[tip[:, 1], tip[:, 0]] = stands
             tips.append(middle)
             moves |= not stands
-        away, near, still = (distance_from(mask, light.shape) for mask in (tool, ends, standing))
-        return cls(prepared, light, view, away, near, still, tips, moves)
+        away, near, still = (distance_from(mask, (FINE * size[1], FINE * size[0])) for mask in (tool, ends, standing))
+        return cls(prepared, make_light, view, away, near, still, tips, moves)
 
     def change_around(self, place: tuple[int, int]) -> np.ndarray | None:
         """The change of the light around a dent's place [grid pixels], [h, w]; None where it isn't known."""

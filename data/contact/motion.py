@@ -28,7 +28,7 @@ REST_FRAMES = 3
 """Last frames before a contact in which tissue that is followed must have returned."""
 SHADING_NOISE = 0.02
 """Noise of depth from shading: its surfaces are smooth, and change from one picture to the next [scene units]. Where
-the camera moves they do so by 3 to 6 % (docs/reports/video.md)."""
+the camera moves they do so by 3 to 6 % (docs/reports/depth.md)."""
 REST_SIGMA = 4.0
 """It hasn't where their mean lies farther from rest than this many of its standard deviations."""
 
@@ -170,9 +170,9 @@ class ContactMotion:
                     resting = dent_geometry(*shown, onset.contact.pixel, *given)
                 else:
                     resting = frame_geometry(*shown, *given, onset.ends)
-                onset.geometry = dataclasses.replace(resting, noise=noise)
+                onset.geometry = dataclasses.replace(resting, noise=noise, surface=None)
         pixel = picture_pixel(onset, self.size)
-        template = self._tracker.template(onset.view, pixel)
+        template = self._tracker.template(onset.shown, pixel)
         young = [] if math.isfinite(onset.contact.noise) and onset.press is None else None
         return ContactRun(onset, pixel, template, np.zeros(3), young)
 
@@ -188,15 +188,15 @@ class ContactMotion:
         if not source.in_contact:
             return np.full(3, math.nan)
         pixel = picture_pixel(source, self.size)
-        moved = self._follow(source, target, pixel, self._tracker.template(source.view, pixel))
+        moved = self._follow(source, target, pixel, self._tracker.template(source.shown, pixel))
         return (self._lift(moved[None], target) - self._lift(pixel[None], source))[0]
 
     def _follow(
         self, source: PreparedFrame, target: PreparedFrame, pixel: np.ndarray, template: TissueTemplate
     ) -> np.ndarray:
         """Place of a followed point in the next picture: by flow, corrected by its template; NaN where it is lost."""
-        moved = self._tracker.near(source.view, target.view, pixel)
-        return self._tracker.again(template, target.view, moved) if np.isfinite(moved).all() else moved
+        moved = self._tracker.near(source.shown, target.shown, pixel)
+        return self._tracker.again(template, target.shown, moved) if np.isfinite(moved).all() else moved
 
     def _rigid(self, before: PreparedFrame, after: PreparedFrame) -> np.ndarray:
         """Motion that the contact would have if it moved with the tissue far from it, shape [3]; NaN if not known."""
@@ -211,7 +211,7 @@ class ContactMotion:
         for most in (64, 1024):
             pixels = reference_pixels(before.depth, before.labels, grid, most)
             pixels = grid_to_picture(pixels, before.depth.shape, self.size)
-            moved = self._tracker.each(before.view, after.view, pixels)
+            moved = self._tracker.each(before.shown, after.shown, pixels)
             found = rigid_motion(self._lift_smooth(pixels, before), self._lift_smooth(moved, after), place)
             # On smooth tissue few are followed.
             if np.isfinite(found).all():
@@ -228,7 +228,9 @@ class ContactMotion:
     def _lift_smooth(self, pixels: np.ndarray, prepared: PreparedFrame) -> np.ndarray:
         """Points [P, 3] on the smoothed surface: drift adds up from frame to frame, and with it the depth's noise."""
         depth = prepared.depth
-        if self.settings.smoothing > 0:
+        if prepared.geometry is not None and prepared.geometry.surface is not None:
+            depth = prepared.geometry.surface
+        elif self.settings.smoothing > 0:
             if self._smooth[0] != prepared.frame.index:  # every frame is asked for with the one before and after it
                 tissue = (prepared.labels == TISSUE) & (depth > 0)
                 self._smooth = prepared.frame.index, smooth_surface(depth, tissue, self.settings.smoothing)[0]

@@ -147,7 +147,7 @@ def settle_run(run: ContactRun, size: tuple[int, int], lift: Lift, tracker: Tiss
     for prepared, pixel, drift in young:
         prepared.track_position = lift((pixel + moved - contact)[None], prepared)[0] - drift
     run.pixel = run.pixel + moved - contact
-    run.template = tracker.template(run.onset.view, moved)
+    run.template = tracker.template(run.onset.shown, moved)
 
 
 def picture_pixel(prepared: PreparedFrame, size: tuple[int, int]) -> np.ndarray:

@@ -69,5 +69,4 @@ class RestDepth:
 
 def _grey(prepared: PreparedFrame) -> np.ndarray:
     """Grey picture on the grid, float32."""
-    grey = cv2.cvtColor(prepared.frame.picture, cv2.COLOR_RGB2GRAY)
-    return cv2.resize(grey, prepared.depth.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
+    return cv2.resize(prepared.shown.gray, prepared.depth.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)

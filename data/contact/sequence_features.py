@@ -5,16 +5,15 @@ span of the static answers of sheets with elastic foundations, (L + α)⁻¹δ. 
 contacts were at most 11 % wider than the whole sequence's, mostly 1 to 5 % (a development run that no command repeats).
 """
 
-import dataclasses
 import functools
 
 import numpy as np
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import spsolve
 
-from palpate.data.contact.depth_sequence import REACH, DepthSequence
 from palpate.data.contact.features import SLOTS, contact_features, contact_surroundings, slot_times
 from palpate.data.contact.interaction import SAME_INSTANT, Interaction
+from palpate.physics.depth import REACH, DepthSequence
 from palpate.physics.mesh import grid_springs, laplacian
 
 SHAPES = 6
@@ -102,7 +101,7 @@ def dent_features(contact: Interaction, within: float) -> np.ndarray:
         within: as in `sequence_features`.
     """
     sequence, noise = contact.sequence, network_noise(contact)
-    shown = dataclasses.replace(contact, observation=contact.observation.moved(motion_in_sequence(contact), noise))
+    shown = contact.having(point=contact.observation.moved(motion_in_sequence(contact), noise))
     around = contact_surroundings(contact)
     return np.concatenate([contact_features(shown, around), sequence_features(sequence, around.spacing, noise, within)])
 

@@ -39,8 +39,12 @@ def lift(pixels: np.ndarray, depth: np.ndarray, labels: np.ndarray, camera: Came
         Shape [P, 3] float64 [scene units]; not a number where no tissue depth is near.
     """
     valid = (labels == TISSUE) & (depth > 0)
-    heights = np.array([_depth_near(u, v, depth, valid) for u, v in pixels]).reshape(-1)
     columns, rows = np.asarray(pixels, np.float64).reshape(-1, 2).T
+    inside = (rows >= -0.5) & (columns >= -0.5) & (rows < depth.shape[0] - 0.5) & (columns < depth.shape[1] - 0.5)
+    places = tuple(np.rint(np.where(inside, each, 0)).astype(int) for each in (rows, columns))
+    heights = np.where(inside & valid[places], depth[places], np.nan).astype(np.float64)
+    for hidden in np.flatnonzero(np.isnan(heights)):
+        heights[hidden] = _depth_near(columns[hidden], rows[hidden], depth, valid)
     return np.stack((heights * (columns - camera.cx) / camera.fx, heights * (rows - camera.cy) / camera.fy, heights), 1)
 
 

@@ -1,7 +1,5 @@
 """An ONNX depth network: the one preprocessing function, the session, and what its output means as depth."""
 
-from __future__ import annotations
-
 import glob
 import hashlib
 import math
@@ -25,7 +23,7 @@ class RawDepth:
     focal: float | None = None
     """Focal length that the network estimated, as a multiple of the picture's width."""
 
-    def thumbnail(self, side: int = 160) -> RawDepth:
+    def thumbnail(self, side: int = 160) -> "RawDepth":
         """Every n-th pixel, so that neither side exceeds `side` much; enough for robust statistics of a clip."""
         step = max(1, max(self.values.shape) // side)
         return RawDepth(self.values[::step, ::step].copy(), self.focal)
@@ -153,10 +151,8 @@ class DepthModel:
         """The picture's part of the output, shape [h, w]."""
         map_ = output.squeeze()
         if map_.ndim != 2:
-            raise InputError(
-                f"{self.path} gives an output '{self._outputs[0]}' of shape {list(output.shape)}, which is not one "
-                "depth map; choose the preset that fits with depth.preset."
-            )
+            problem = f"{self.path} gives an output '{self._outputs[0]}' of shape {list(output.shape)},"
+            raise InputError(f"{problem} which is not one depth map; choose the preset that fits with depth.preset.")
         down, across = map_.shape[0] / placement.height, map_.shape[1] / placement.width
         top, left = round(placement.top * down), round(placement.left * across)
         bottom = max(top + 1, round((placement.top + placement.rows) * down))

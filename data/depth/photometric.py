@@ -6,12 +6,13 @@ plane (θ = α), z = cos^1.5(α)·sqrt(ρ/I): relative depth for one albedo and 
 """
 
 import math
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from palpate.data.depth.model import RawDepth
-from palpate.data.depth.sources import DepthSource, check_map, positive
+from palpate.data.depth.sources import DepthSource, check_map
 from palpate.data.picture_network import resized
 from palpate.data.source.frames import Frame
 
@@ -27,7 +28,8 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     Args:
         picture: sRGB in [0, 1], shape [h, w, 3] float32.
     """
-    red, green, _ = cv2.split(np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4))
+    picture = picture[..., :2]
+    red, green = cv2.split(np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4))
     # Blood absorbs green and blue, so red varies least with albedo; green helps where red saturates.
     brightness = 0.7 * red + 0.3 * green
     # Narrow highlights (opening) and narrow dark vessels (closing) are pulled in to within a factor of 1.2.
@@ -35,17 +37,22 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     filtered = cv2.morphologyEx(cv2.morphologyEx(brightness, cv2.MORPH_OPEN, square), cv2.MORPH_CLOSE, square)
     brightness = np.clip(brightness, filtered / 1.2, filtered * 1.2)
     usable = (brightness > DARKEST).astype(np.float32)
-    total, weight = (
-        cv2.GaussianBlur(part.astype(np.float32), (37, 37), 6, borderType=cv2.BORDER_CONSTANT)
-        for part in (brightness * usable, usable)
-    )
+    parts = (brightness * usable).astype(np.float32), usable
+    total, weight = (cv2.GaussianBlur(part, (37, 37), 6, borderType=cv2.BORDER_CONSTANT) for part in parts)
     smooth = total / np.maximum(weight, 1e-6) * usable
-    height, width = smooth.shape
+    return np.where(smooth > DARKEST, _falloff(smooth.shape) / np.sqrt(np.maximum(smooth, DARKEST)), 0).astype(
+        np.float32
+    )
+
+
+@lru_cache(maxsize=4)
+def _falloff(shape: tuple[int, int]) -> np.ndarray:
+    """cos^1.5(α) at every pixel of a picture of a shape (H, W)."""
+    height, width = shape
     # Horizontal field of view that is assumed [degrees].
     pitch = 2 * math.tan(math.radians(60.0) / 2) / width
     across, down = ((np.arange(side) - (side - 1) / 2) * pitch for side in (width, height))
-    cosine = 1 / np.sqrt(down[:, None] ** 2 + across**2 + 1)
-    return np.where(smooth > DARKEST, cosine**1.5 / np.sqrt(np.maximum(smooth, DARKEST)), 0).astype(np.float32)
+    return (down[:, None] ** 2 + across**2 + 1) ** -0.75
 
 
 class PhotometricDepth(DepthSource):
@@ -60,6 +67,6 @@ class PhotometricDepth(DepthSource):
         # Longer side of the picture whose brightness is read [px].
         rows, columns = (max(2, 2 * round(side * 428 / max(height, width) / 2)) for side in (height, width))
         picture = resized(frame.picture.astype(np.float32), rows, columns) / np.float32(255)
-        found = cv2.resize(photometric_depth(picture), (width, height), interpolation=cv2.INTER_LINEAR)
+        found = photometric_depth(picture)
         check_map(found, f"The brightness of frame {frame.number}", signed=False)
-        return RawDepth(positive(found))
+        return RawDepth(cv2.resize(found, (width, height), interpolation=cv2.INTER_LINEAR))

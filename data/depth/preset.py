@@ -1,7 +1,6 @@
 """Input and output conventions of a depth network, so that any ONNX depth model works by configuration alone."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Literal
@@ -86,7 +85,7 @@ class DepthPreset(Checked):
     @property
     def identity(self) -> str:
         """Digest of all fields, for cache keys."""
-        fields = {key: value for key, value in dataclasses.asdict(self).items() if key != "obtain"}
+        fields = {key: value for key, value in asdict(self).items() if key != "obtain"}
         return digest_of(fields)[:16]
 
 
@@ -103,10 +102,8 @@ def load_preset(name: str | Path) -> DepthPreset:
     """
     path = Path(name)
     if path.suffix.lower() not in (".yaml", ".yml"):
-        if str(name) not in preset_names():
-            raise InputError(
-                f"'{name}' is no depth preset; choose one of {', '.join(preset_names())}, or a .yaml file."
-            )
+        if str(name) not in (names := preset_names()):
+            raise InputError(f"'{name}' is no depth preset; choose one of {', '.join(names)}, or a .yaml file.")
         path = PRESET_FOLDER / f"{name}.yaml"
     return from_mapping(DepthPreset, {"name": path.stem} | read_mapping(path, "a depth preset"), str(path))
 
@@ -138,8 +135,6 @@ def resolve_model(source: str, model: str | None, preset: str | None) -> tuple[P
         raise InputError(f"{path} does not exist; check the path of the depth model.")
     preset_file = path.with_suffix(".yaml")
     if preset is None and not isfile(preset_file):
-        raise InputError(
-            f"Nothing says how to read the depth model {path}; give depth.preset ({', '.join(preset_names())}, or a "
-            f".yaml file), or put {preset_file.name} next to it."
-        )
+        problem = f"Nothing says how to read the depth model {path}; give depth.preset ({', '.join(preset_names())},"
+        raise InputError(f"{problem} or a .yaml file), or put {preset_file.name} next to it.")
     return path, load_preset(preset if preset is not None else preset_file)

@@ -3,7 +3,7 @@
 Under a light at the camera a plane n·X = h of one albedo sends back I ∝ (n·r)³/h² along the unit ray r: the distance is
 h/(n·r), and the cosine to the light n·r. How brightness changes over a whole organ tells n to about ten degrees; what
 changes over less than that is mostly albedo (vessels, fat, bruises), and turns normals by 50 degrees when it is read as
-distance (docs/depth.md).
+distance (docs/reports/depth.md).
 """
 
 import cv2
@@ -12,23 +12,18 @@ import numpy as np
 from palpate.common.robust import median_sd
 from palpate.data.source.camera import Camera, back_project
 
-EDGE = 6
-"""Width of what is left out at the border of tissue, where shadows and other colours lie [grid px]."""
-FEWEST = 200
-"""With fewer pixels than that, those at the border count as well."""
-LARGEST_TANGENT = 3.0
-"""Largest tangent of the plane's tilt along either axis."""
 GRAZING = 0.05
 """Least cosine between the plane's normal and a ray."""
 
 
-def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.ndarray:
+def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera, fewest: int = 200) -> np.ndarray:
     """Depth from shading without what can't be shape: a tilted plane, curved by what is left over the whole organ.
 
     Args:
         depth: of the photometric model, I^-½·cos^1.5 of the ray's angle, shape [h, w], 0 = invalid.
         tissue: where tissue is, shape [h, w] bool.
         camera: intrinsics of the grid.
+        fewest: with fewer pixels of tissue those at its border count as well, or else nothing is done.
 
     Returns:
         Depth of the same shape and kind, smooth wherever it is valid; tissue has the median that it had. Instruments
@@ -37,10 +32,10 @@ def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.nda
     """
     lit = depth > 0
     valid = tissue & lit
-    kept = cv2.erode(valid.astype(np.uint8), np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8), borderValue=1) > 0
-    if kept.sum() < FEWEST:
-        kept = valid
-    if kept.sum() < FEWEST:
+    # Six pixels are left out at the border of tissue, where shadows and other colours lie.
+    kept = cv2.erode(valid.astype(np.uint8), np.ones((13, 13), np.uint8), borderValue=1) > 0
+    kept = valid if kept.sum() < fewest else kept
+    if kept.sum() < fewest:
         return depth
     rays = back_project(np.ones_like(depth), camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -81,7 +76,7 @@ def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         slopes -= weights @ slopes / weights.sum()
         information = (slopes * weights[:, None]).T @ slopes / len(rays) + prior * np.eye(2)
         step = (slopes * weights[:, None]).T @ left / len(rays) - prior * tangents
-        tangents = np.clip(tangents + np.linalg.solve(information, step), -LARGEST_TANGENT, LARGEST_TANGENT)
+        tangents = np.clip(tangents + np.linalg.solve(information, step), -3.0, 3.0)
     normal = np.append(tangents, 1.0)
     return normal / np.linalg.norm(normal)
 

@@ -14,8 +14,6 @@ from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, matches, read_clip_file
 
-RANGE_QUANTILES = (0.001, 0.999)
-"""Quantiles at the ends of a frame's range of relative inverse depth."""
 LARGEST_MAP_RATIO = 16
 """Largest ratio of a stored map's pixels to its picture's; larger maps are not even unpacked."""
 NEAREST, FARTHEST = 1e-3, 5.0
@@ -98,10 +96,8 @@ class StoredDepth(DepthSource):
             depth = values * (factor / largest)
         if depth.shape != (height, width):
             if abs(depth.shape[1] * height - depth.shape[0] * width) > max(height, width, *depth.shape):
-                raise InputError(
-                    f"{path} is {depth.shape[1]}x{depth.shape[0]} while its frame is {width}x{height}; "
-                    "store depth in the frame's aspect."
-                )
+                problem = f"{path} is {depth.shape[1]}x{depth.shape[0]} while its frame is {width}x{height};"
+                raise InputError(f"{problem} store depth in the frame's aspect.")
             depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
         return RawDepth(positive(depth))
 
@@ -142,7 +138,7 @@ class ModelDepth(DepthSource):
         focals = [sample.focal for sample in samples if sample.focal is not None]
         self.focal = float(np.median(focals)) if focals else None
         if self._preset.kind == "relative_inverse":
-            ends = [np.quantile(s.values[np.isfinite(s.values)], RANGE_QUANTILES) for s in samples]
+            ends = [np.quantile(s.values[np.isfinite(s.values)], (0.001, 0.999)) for s in samples]
             low, high = np.median(ends, axis=0)
             if not high > low:
                 raise InputError(f"{self._model.path} gives the same depth nearly everywhere; check its preset.")
@@ -156,7 +152,8 @@ class ModelDepth(DepthSource):
         if preset.kind == "relative_inverse":
             return from_relative_inverse(values, self._range, self._near, self._far)
         if preset.kind in ("inverse", "canonical_inverse"):
-            values = from_inverse(values)
+            values = positive(values)
+            values = positive(np.divide(1, values, out=np.zeros_like(values), where=values > 0))
         if preset.kind == "canonical_inverse" or preset.canonical_focal_px is not None:
             # DepthPro: D = f_px/(w·C); Bini 2026, section 3.2.1, prints its reciprocal in C.
             values = values * np.float32(self._known_focal or self.focal or self._default_focal)
@@ -166,12 +163,6 @@ class ModelDepth(DepthSource):
 def positive(values: np.ndarray) -> np.ndarray:
     """The map as float32 with 0 wherever it is not positive and finite."""
     return np.where(np.isfinite(values) & (values > 0), values, 0).astype(np.float32)
-
-
-def from_inverse(inverse: np.ndarray) -> np.ndarray:
-    """D = 1/r; 0 where r is not positive and finite."""
-    inverse = positive(inverse)
-    return positive(np.divide(1, inverse, out=np.zeros_like(inverse), where=inverse > 0))
 
 
 def from_relative_inverse(values: np.ndarray, ends: tuple[float, float], near: float, far: float) -> np.ndarray:
@@ -242,10 +233,8 @@ def _read_numpy(path: Path, key: str | None, most: int) -> np.ndarray:
                 raise InputError(f"{path} holds {', '.join(loaded.files)}; name one of them as layout.depth_key.")
             size = loaded.zip.getinfo(f"{name}.npy").file_size
         if size > 8 * most + 2**16:  # 8 bytes a pixel, and a header
-            raise InputError(
-                f"{path} unpacks to {size / 2**20:.0f} MB, more than {LARGEST_MAP_RATIO} times its picture's pixels; "
-                "store depth at the picture's size."
-            )
+            problem = f"{path} unpacks to {size / 2**20:.0f} MB, more than {LARGEST_MAP_RATIO} times"
+            raise InputError(f"{problem} its picture's pixels; store depth at the picture's size.")
         return loaded if name is None else loaded[name]
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; store the frame's depth there or choose a depth model.") from error

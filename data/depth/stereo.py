@@ -19,31 +19,6 @@ from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.images import printable, read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, right_beside
 
-BLOCK, LEFT_RIGHT, UNIQUE, SPECKLE, APART = 7, 1, 5, 100, 2
-"""Side of the blocks that are compared [px], most by which the disparities of left to right and of right to left differ
-[px], least margin of a match over the next best [%], size of islands that are removed [px], and by how much disparity
-differs between neighbours of one island [px]."""
-REFINED_OVER, FLAT = 9, 2.0
-"""Side of the window in which a disparity is refined [px], and the variance of a slope that is noise alone."""
-QUANTILES, WIDENED = (0.01, 0.99), (0.7, 1.3)
-"""Quantiles of the sampled frames' disparities, and how much of these the clip's range begins and ends at."""
-NEW_SHARE, CONSISTENT = 2 / 3, 0.25
-"""Share of a frame's own disparity in what is kept where it is near the frame's before, and what is near [working px]:
-noise falls to 0.7 of its own, and what moves by less than that lags by half a frame."""
-DISPARITY_SD = 0.25
-"""Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px]; where
-rows are found apart, a camera that is turned that far may be turned as far across them."""
-LEAST_MATCHES, LEAST_SHARE, ALIKE = 30, 0.3, 2.0
-"""Features that tell whether a pair is rectified, their share of those matched, how near to the fit they lie [px]."""
-NOT_RECTIFIED, SAID, TOUCHED = 0.02, 1.5, 0.3
-"""Most by which rows of a rectified pair differ [picture heights]; what is said, and what is mended, of less [px]."""
-
-NOT_COMPARED = "left and right pictures share too few features to compare rows; look whether they are a pair"
-ROWS_DIFFER = (
-    "rows of the right pictures lie up to {:.1f} px off those of the left ones and were brought together by features, "
-    "so that depth may be off as well; rectify the pair"
-)
-
 
 class Rectification:
     """Brings a calibrated pair to common rows, and depth back to the left picture; a rectified pair stays as it is.
@@ -101,8 +76,11 @@ class SemiGlobal:
         low, high = np.multiply(span or (1, size[0] / 2), self._size[0] / size[0])
         least = max(1, int(low))
         count = 16 * max(1, math.ceil((high - least) / 16))
-        how = BLOCK, 8 * BLOCK**2, 32 * BLOCK**2, LEFT_RIGHT, 0, UNIQUE, SPECKLE, APART, cv2.STEREO_SGBM_MODE_SGBM_3WAY
-        self._matcher, self._margin = cv2.StereoSGBM.create(least, count, *how), least + count
+        # Blocks of 7 px are compared; disparities of both directions differ by 1 px at most; a match leads over the
+        # next best by 5 %; islands of 100 px are removed, within which neighbours differ by 2 px at most.
+        smooth = {"blockSize": 7, "P1": 8 * 7**2, "P2": 32 * 7**2, "mode": cv2.STEREO_SGBM_MODE_SGBM_3WAY}
+        checks = {"disp12MaxDiff": 1, "uniquenessRatio": 5, "speckleWindowSize": 100, "speckleRange": 2}
+        self._matcher, self._margin = cv2.StereoSGBM.create(least, count, **smooth, **checks), least + count
 
     def __call__(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Disparity of a pair on common rows (RGB uint8, [H, W, 3]) at its working size, in its pixels; 0 = none."""
@@ -116,21 +94,25 @@ class SemiGlobal:
 
 
 def _refined(left: np.ndarray, right: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-    """Disparities moved to where brightness agrees best, up to a constant, in the window around each pixel."""
+    """Disparities moved to where brightness agrees best, up to a constant, in a window of 9 px around each pixel."""
     rows, columns = np.indices(disparity.shape, np.float32)
     there = cv2.remap(right, columns - disparity, rows, cv2.INTER_LINEAR).astype(np.float32)
     slope, error = cv2.Sobel(there, cv2.CV_32F, 1, 0, ksize=1, scale=0.5), left - there
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(values, -1, (REFINED_OVER, REFINED_OVER))
+        return cv2.boxFilter(values, -1, (9, 9))
 
     steepness = mean(slope)
     shared = mean(slope * error) - steepness * mean(error)
-    return disparity - np.clip(shared / (mean(slope * slope) - steepness**2 + FLAT), -1, 1)
+    # Where it is flat, a slope has a variance of 2, which is noise alone.
+    return disparity - np.clip(shared / (mean(slope * slope) - steepness**2 + 2.0), -1, 1)
 
 
 def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """By how much features lie lower in the left picture than in the right one, by where they are in the left one.
+
+    Args:
+        left, right: pictures, shape [H, W, 3].
 
     Returns:
         a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; none of them is a number where
@@ -145,11 +127,12 @@ def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     across, down = (here - np.array([found[1][0][pair.trainIdx].pt for pair in pairs]).reshape(-1, 2)).T
     near = (across > 0) & (across < width / 2) & (np.abs(down) < height / 4)
     terms = np.column_stack([np.ones(near.sum()), here[near] - [(width - 1) / 2, (height - 1) / 2]])
-    if len(terms) < LEAST_MATCHES:
+    fewest = 30  # features that tell
+    if len(terms) < fewest:
         return np.full(3, np.nan)
     off = down[near] - (middle := np.median(down[near]))
-    agree = np.abs(off - trimmed_fit(terms, off, 6, 2.0)) < ALIKE
-    enough = agree.sum() >= max(LEAST_MATCHES, LEAST_SHARE * len(agree))
+    agree = np.abs(off - trimmed_fit(terms, off, 6, 2.0)) < 2.0
+    enough = agree.sum() >= max(fewest, 0.3 * len(agree))
     return np.linalg.lstsq(terms[agree], off[agree] + middle, rcond=None)[0] if enough else np.full(3, np.nan)
 
 
@@ -157,6 +140,10 @@ class StereoDepth(DepthSource):
     """Depth of a stereo pair, in metres by its baseline; pixels that match nowhere, or not both ways, have none."""
 
     depends_on_clip = True
+    not_compared = "left and right pictures share too few features to compare rows; look whether they are a pair"
+    disparity_sd = 0.25
+    """Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px];
+    where rows are found apart, a camera that is turned that far may be turned as far across them."""
 
     def __init__(self, layout: ClipLayout, source: FrameSource) -> None:
         """
@@ -180,7 +167,6 @@ class StereoDepth(DepthSource):
         self._match = SemiGlobal(source.size)
         self._before: tuple[int, np.ndarray] = (-2, np.zeros(0))
         self._seconds, self._second = iter(()), math.inf
-        self._disparity_sd = DISPARITY_SD
         self.identity = f"stereo:{digest_of([repr(rig), layout.right])[:16]}"
         first = next((frame for frame in source if frame.image is not None), None)
         self._moved = None if first is None else self._onto_rows(first)
@@ -193,13 +179,15 @@ class StereoDepth(DepthSource):
             right = cv2.warpAffine(right, self._moved, self._size, flags=how, borderMode=cv2.BORDER_REPLICATE)
         disparity, (index, before) = self._match(left, right), self._before
         if index == frame.index - 1:
-            same = (np.abs(disparity - before) < CONSISTENT) & (disparity > 0) & (before > 0)
-            disparity = np.where(same, NEW_SHARE * disparity + (1 - NEW_SHARE) * before, disparity)
+            # Noise falls to 0.7 of its own where disparity is near the frame's before [working px]; what moves by less
+            # lags by half a frame.
+            same = (np.abs(disparity - before) < 0.25) & (disparity > 0) & (before > 0)
+            disparity = np.where(same, 2 / 3 * disparity + (1 - 2 / 3) * before, disparity)
         self._before = frame.index, disparity
         full = cv2.resize(disparity, self._size, interpolation=cv2.INTER_NEAREST)
         depth = self._rectification.depth(full * np.float32(self._size[0] / disparity.shape[1]))
         check_map(depth, f"Stereo depth of frame {frame.number} of {printable(self._clip)}", signed=False)
-        return RawDepth(depth)
+        return RawDepth(positive(depth))
 
     def _right(self, frame: Frame) -> np.ndarray:
         """The right picture of a frame, [H, W, 3]."""
@@ -233,28 +221,28 @@ class StereoDepth(DepthSource):
         offset, turn, stretch = np.nan_to_num(found)
         x, y = ((side - 1) / 2 for side in self._size)
         most = abs(offset) + abs(turn) * x + abs(stretch) * y
-        if most > NOT_RECTIFIED * self._size[1]:
-            raise InputError(
-                f"The pair of {printable(self._clip)} is not rectified (its rows are up to {most:.0f} px apart); "
-                "rectify it, or give rotation and translation of its calibration in the camera file."
-            )
-        self.warnings = [NOT_COMPARED] if unknown else [ROWS_DIFFER.format(most)] if most > SAID else []
-        self._disparity_sd = math.hypot(DISPARITY_SD, most)
+        if most > 0.02 * self._size[1]:
+            problem = f"The pair of {printable(self._clip)} is not rectified (its rows are up to {most:.0f} px apart);"
+            remedy = "rectify it, or give rotation and translation of its calibration in the camera file."
+            raise InputError(f"{problem} {remedy}")
+        differ = (
+            f"rows of the right pictures lie up to {most:.1f} px off those of the left ones and were brought together "
+            "by features, so that depth may be off as well; rectify the pair"
+        )
+        self.warnings = [self.not_compared] if unknown else [differ] if most > 1.5 else []
+        self.disparity_sd = math.hypot(self.disparity_sd, most)
         # A turn of the camera around its axis, which the rows tell, moves columns as well.
         moved = np.array([[1, turn, -turn * y], [-turn, 1 - stretch, turn * x + stretch * y - offset]])
-        return moved if most > TOUCHED else None
+        return moved if most > 0.3 else None
 
     def freeze(self, samples: Sequence[RawDepth]) -> None:
         """Fix the range of disparities that are sought, and the uncertainty of the depth's scale."""
         found = np.concatenate([self._rectification.product / raw.values[raw.values > 0] for raw in samples])
-        low, high = np.quantile(found, QUANTILES) * WIDENED
+        low, high = np.quantile(found, (0.01, 0.99)) * (0.7, 1.3)
         self._match = SemiGlobal(self._size, (float(low), float(high)))
         if (away := self._rectification.product / np.median(found)) > FARTHEST:
-            problem = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
-            raise InputError(f"Tissue of {printable(self._clip)} {problem}.")
-        off = self._disparity_sd / float(np.median(found))
-        if NOT_COMPARED not in self.warnings:
+            text = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
+            raise InputError(f"Tissue of {printable(self._clip)} {text}.")
+        off = self.disparity_sd / float(np.median(found))
+        if self.not_compared not in self.warnings:
             self.metres = 1.0, math.hypot(self._baseline_log_sd, off), "stereo"
-
-    def convert(self, raw: RawDepth) -> np.ndarray:
-        return positive(raw.values)

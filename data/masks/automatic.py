@@ -56,8 +56,10 @@ class AutomaticMasks:
         kept = np.where(instrument_parts(probability, view, before), probability, np.minimum(probability, 0.4))
         kept = cv2.resize(kept, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
         # Pixels with a larger probability may be an instrument; it is one above one half.
-        other = np.where(kept > 0.1, np.uint8(UNSURE), lit * np.uint8(TISSUE))
-        return np.where(kept > 0.5, np.uint8(TOOL), other)
+        labels = lit * np.uint8(TISSUE)
+        labels[kept > 0.1] = UNSURE
+        labels[kept > 0.5] = TOOL
+        return labels
 
     def probability(self, image: np.ndarray) -> np.ndarray:
         """Probability of an instrument in one picture [H, W, 3], at half of the network's size, float32 [h, w]."""

@@ -4,6 +4,8 @@ Tissue far from instruments is followed from the reference picture to the next o
 exact where the camera turns or the tissue is flat.
 """
 
+from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -52,16 +54,10 @@ class Registration:
         self._last = np.eye(3)
         """Homography from the reference's picture to the last one."""
 
-    def push(self, shown: Shown, picture: np.ndarray, labels: np.ndarray) -> tuple[View, np.ndarray, np.ndarray]:
-        """The next frame.
+    def push(self, shown: Shown) -> tuple[View, Callable[[], tuple[np.ndarray, np.ndarray]]]:
+        """Take the next frame; return its view, and what returns picture and labels in the view of the reference.
 
-        Args:
-            shown: picture and tool as points are followed in them.
-            picture: RGB, uint8 [H, W, 3].
-            labels: label map, uint8 [H, W].
-
-        Returns:
-            Its view, and picture and labels in the view of the reference; black and 0 where it doesn't show that.
+        These are black and 0 where the frame doesn't show that.
         """
         motion = None if self._reference is None else self._motion(shown)
         if motion is None:
@@ -72,14 +68,17 @@ class Registration:
             motion = np.eye(3)
         self._last = motion
         if np.array_equal(motion, np.eye(3)):
-            return View(self._count, np.eye(3)), picture, labels
-        size = picture.shape[1::-1]
-        whole = scaled(motion, np.array(size) / shown.gray.shape[::-1])
-        flags = cv2.WARP_INVERSE_MAP
-        warped = cv2.warpPerspective(picture, whole, size, flags=flags | cv2.INTER_CUBIC)
-        found = cv2.warpPerspective(labels, whole, size, flags=flags | cv2.INTER_NEAREST)
-        grid = scaled(motion, np.array(self._grid_shape[::-1]) / shown.gray.shape[::-1])
-        return View(self._count, np.linalg.inv(grid)), warped, found
+            return View(self._count, np.eye(3)), lambda: (shown.picture, shown.labels)
+        size = shown.gray.shape[::-1]
+
+        @cache
+        def warped() -> tuple[np.ndarray, np.ndarray]:
+            flags = cv2.WARP_INVERSE_MAP
+            picture = cv2.warpPerspective(shown.picture, motion, size, flags=flags | cv2.INTER_CUBIC)
+            return picture, cv2.warpPerspective(shown.labels, motion, size, flags=flags | cv2.INTER_NEAREST)
+
+        grid = scaled(motion, np.array(self._grid_shape[::-1]) / size)
+        return View(self._count, np.linalg.inv(grid)), warped
 
     def _motion(self, shown: Shown) -> np.ndarray | None:
         """Homography from the reference to a picture [px]; None where another reference is needed."""

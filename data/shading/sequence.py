@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from palpate.common.robust import median_sd
+from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.light import FINE
+from palpate.data.shading.registration import View
 
 REACH = 7
 """Tissue up to so many rows and columns from the contact is compared [grid pixels]."""
@@ -91,12 +94,12 @@ class RestingLight:
     """The light of tissue at rest: the median of the last frames before a contact."""
 
     def __init__(self) -> None:
-        self._frames: deque[np.ndarray] = deque(maxlen=KEPT)
+        self._frames: deque[Callable[[], np.ndarray]] = deque(maxlen=KEPT)
         self._median: np.ndarray | None = None
         """Median light of these frames, where it has been asked for."""
 
-    def push(self, light: np.ndarray) -> None:
-        """The light of the next frame out of contact, as in `log_light`."""
+    def push(self, light: Callable[[], np.ndarray]) -> None:
+        """Take the next frame out of contact, by what returns its light as in `log_light`."""
         self._frames.append(light)
         self._median = None
 
@@ -112,7 +115,7 @@ class RestingLight:
         """Return the median light of the frames, at least one, place by place; not a number where no frame shows
         tissue."""
         if self._median is None:
-            self._median = _median(np.stack(self._frames))
+            self._median = _median(np.stack([light() for light in self._frames]))
         return self._median
 
 
@@ -130,10 +133,13 @@ class ShadingRecorder:
 
     Args:
         rest: light at rest, as in `log_light`.
-        pixel: row and column of the contact [grid pixels].
+        pixel: row and column of the contact in the onset's frame [grid pixels].
+        view: in which the onset's light lies; None = the frame's own, of a camera that stands still.
     """
 
-    def __init__(self, rest: np.ndarray, pixel: np.ndarray) -> None:
+    def __init__(self, rest: np.ndarray, pixel: np.ndarray, view: View | None = None) -> None:
+        pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
+        self._reference = None if view is None else view.reference
         first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
         self._window = tuple(np.ix_(first[0] + np.arange(SIDE), first[1] + np.arange(SIDE)))
         self._inside = (self._window[0] >= 0) & (self._window[0] < rest.shape[0])
@@ -151,8 +157,13 @@ class ShadingRecorder:
         rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape, strict=True))
         return np.where(self._inside, light[rows, columns], np.nan)
 
-    def frame(self, light: np.ndarray) -> np.ndarray | None:
-        """Light around the contact in a frame, as in `ShadingSequence`; None where its gain isn't known."""
+    def frame(self, frame: PreparedFrame) -> np.ndarray | None:
+        """Light around the contact in a frame, as in `ShadingSequence`; None where it or its gain isn't known, or of
+        another reference.
+        """
+        light, view = frame.light, frame.light_view
+        if light is None or (None if view is None else view.reference) != self._reference:
+            return None
         found = slow_change(self._places, light[self._far] - self._far_rest)
         if found is None:
             return None
@@ -160,7 +171,7 @@ class ShadingRecorder:
         self._noise.append(sd)
         return (self._cut(light) - self._middle @ gain).astype(np.float32)
 
-    def sequence(self, times: np.ndarray, light: list[np.ndarray]) -> ShadingSequence:
+    def record(self, times: np.ndarray, light: list[np.ndarray], _: int = 0) -> ShadingSequence:
         """The sequence of some frames, times since the onset [s]."""
         stacked = np.stack(light) if light else np.empty((0, *self._rest.shape), np.float32)
         noise = float(np.median(self._noise)) if self._noise else np.nan

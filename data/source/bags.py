@@ -1,7 +1,5 @@
 """Pictures, their camera and forces by topic in bags of ROS 1 and ROS 2, which the library `rosbags` reads."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from os.path import isfile
@@ -16,23 +14,17 @@ from palpate.data.source.images import decode_image, printable, require_pixels
 from palpate.data.source.layout import InputError
 from palpate.data.source.table import reason
 
-SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
-"""Endings of the names of bags that are files."""
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERAS, WRENCHES = ("sensor_msgs/msg/CameraInfo",), ("geometry_msgs/msg/WrenchStamped",)
 """Types of messages."""
-ENCODINGS = {
-    "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "rgba8": (4, cv2.COLOR_RGBA2RGB), "bgra8": (4, cv2.COLOR_BGRA2RGB),
-}  # fmt: skip
-"""Channels of pictures that are stored as they are, and what makes RGB of them."""
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file by its ending, or a folder that ROS 2 has recorded."""
+    endings = {".bag", ".mcap", ".db3"}
     if isfile(path):
-        return path.suffix in SUFFIXES
-    return isfile(path / "metadata.yaml") and any(SUFFIXES & set(file.suffixes) for file in path.glob("*.*"))
+        return path.suffix in endings
+    return isfile(path / "metadata.yaml") and any(endings & set(file.suffixes) for file in path.glob("*.*"))
 
 
 @contextmanager
@@ -127,13 +119,16 @@ def _picture(message: Any, named: str) -> np.ndarray:
         return _decompressed(message.data.tobytes(), message.format, named)
     height, width, step = message.height, message.width, message.step
     require_pixels(named, width, height)
+    # Channels of pictures that are stored as they are, and what makes RGB of them.
+    known = {"rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB)}
+    known |= {"rgba8": (4, cv2.COLOR_RGBA2RGB), "bgra8": (4, cv2.COLOR_BGRA2RGB)}
     try:
-        channels, code = ENCODINGS[message.encoding]
+        channels, code = known[message.encoding]
         pixels = message.data.reshape(height, step)[:, : width * channels].reshape(height, width, channels)
         return pixels if code is None else cv2.cvtColor(pixels, code)
     except (KeyError, ValueError, cv2.error) as error:
         problem = f"is no {width}x{height} of {plain(message.encoding)} in rows of {step} bytes that can be read"
-        raise InputError(f"{named} {problem}; record {', '.join(ENCODINGS)}, or compressed pictures.") from error
+        raise InputError(f"{named} {problem}; record {', '.join(known)}, or compressed pictures.") from error
 
 
 def _decompressed(content: bytes, label: str, named: str) -> np.ndarray:

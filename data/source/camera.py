@@ -1,7 +1,5 @@
 """The camera: intrinsics, camera files, back-projection (Bini 2026, equation 3) and the removal of lens distortion."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +15,6 @@ from palpate.data.source.layout import ClipLayout, InputError, from_mapping, rea
 
 MOST_SIDE = 4096
 """Longest side of a grid, and of a network's input [px]."""
-COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-"""Numbers of distortion coefficients that OpenCV takes."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +49,11 @@ class Camera(Checked):
         ratios = self.width / self.fx, self.height / self.fy, self.cx / (self.width or 1), self.cy / (self.height or 1)
         # Beyond this ratio the focal length is in millimetres.
         if max(map(abs, ratios)) > 50 and self.stated:
-            raise ValueError(
-                f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is none of "
-                f"a picture of {self.width:g}x{self.height:g}; give all in its pixels."
-            )
-        if len(self.distortion) not in COEFFICIENTS:
-            counts = ", ".join(map(str, COEFFICIENTS))
-            raise ValueError(f"The camera has {len(self.distortion)} distortion coefficients; give one of {counts}.")
+            problem = f"The camera's focal length ({self.fx:g}, {self.fy:g}) or centre ({self.cx:g}, {self.cy:g}) is"
+            raise ValueError(f"{problem} none of a picture of {self.width:g}x{self.height:g}; give all in its pixels.")
+        if len(self.distortion) not in (0, 4, 5, 8, 12, 14):  # what OpenCV takes
+            problem = f"The camera has {len(self.distortion)} distortion coefficients"
+            raise ValueError(f"{problem}; give one of 0, 4, 5, 8, 12, 14.")
 
     @property
     def stated(self) -> bool:
@@ -72,16 +66,16 @@ class Camera(Checked):
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
 
     @classmethod
-    def from_field_of_view(cls, degrees: float, width: int, height: int) -> Camera:
+    def from_field_of_view(cls, degrees: float, width: int, height: int) -> "Camera":
         """Camera with square pixels and a centred axis from its horizontal field of view [degrees]."""
         return cls.from_focal(width / 2 / math.tan(math.radians(degrees) / 2), width, height)
 
     @classmethod
-    def from_focal(cls, focal: float, width: int, height: int) -> Camera:
+    def from_focal(cls, focal: float, width: int, height: int) -> "Camera":
         """Camera with square pixels and a centred axis from its focal length [px]."""
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
-    def scaled(self, width: int, height: int) -> Camera:
+    def scaled(self, width: int, height: int) -> "Camera":
         """Return the camera for the picture resized to width x height.
 
         Raises:
@@ -111,7 +105,7 @@ class Rig(Camera):
     """Rotation of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
     translation: tuple[float, float, float] | None = None
     """T, in place of a baseline [m]."""
-    right: Rig | None = None
+    right: "Rig | None" = None
     """The right camera, with the keys of the left one; none = the same."""
     metres_per_depth: Positive | None = None
     """Length of a unit of the clip's stored depth [m]; none = not known."""
@@ -227,9 +221,8 @@ class Undistortion:
     """
 
     def __init__(self, camera: Camera, turn: np.ndarray | None = None, seen: np.ndarray | None = None) -> None:
-        lens = camera.matrix, np.array(camera.distortion, float)
-        to = turn, camera.matrix if seen is None else seen, (camera.width, camera.height)
-        self._maps = cv2.initUndistortRectifyMap(*lens, *to, cv2.CV_32FC1)
+        lens, target = (camera.matrix, np.array(camera.distortion, float)), camera.matrix if seen is None else seen
+        self._maps = cv2.initUndistortRectifyMap(*lens, turn, target, (camera.width, camera.height), cv2.CV_32FC1)
 
     def image(self, image: np.ndarray) -> np.ndarray:
         """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""

@@ -1,7 +1,5 @@
 """Camera files of OpenCV, ROS and SCARED, recognised by their content and turned into this project's keys."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,8 +8,6 @@ import numpy as np
 from palpate.common.settings import shown
 from palpate.data.source.layout import InputError
 
-LENSES = ("", "none", "plumb_bob", "radtan", "rational_polynomial")
-"""Names of lens models that are OpenCV's."""
 LARGEST_BASELINE = 0.5
 """A larger distance of a pair's cameras is in millimetres [m]."""
 
@@ -42,17 +38,15 @@ def own_entries(entries: Mapping[str, Any], where: str) -> Mapping[str, Any]:
             except InputError as error:
                 raise InputError(f"{where} {error}") from error
             except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-                problem = f"is not as {program} writes a camera ({type(error).__name__}: {error})"
-                raise InputError(
-                    f"{where} {problem}; calibrate again, or give fx, fy, cx, cy, width, height."
-                ) from error
+                problem = f"{where} is not as {program} writes a camera ({type(error).__name__}: {error})"
+                raise InputError(f"{problem}; calibrate again, or give fx, fy, cx, cy, width, height.") from error
     return entries
 
 
 def _camera(matrix: Any, bent: Any, width: Any = 0, height: Any = 0, lens: Any = "") -> dict[str, Any]:
     """Entries of one camera from its matrix K, its distortion, its picture's size and the name of its lens model."""
-    if lens not in LENSES:
-        raise InputError(f"has the lens model {shown(lens)}; undistort the pictures, or calibrate with {LENSES[2]}.")
+    if lens not in ("", "none", "plumb_bob", "radtan", "rational_polynomial"):  # names of OpenCV's
+        raise InputError(f"has the lens model {shown(lens)}; undistort the pictures, or calibrate with plumb_bob.")
     fx, skew, cx, _, fy, cy, *_ = _numbers(matrix, 9)
     if abs(skew) > 1e-3 * abs(fx):
         raise InputError(f"has a skew of {skew:g}, which is not supported; calibrate without.")

@@ -1,7 +1,5 @@
 """Clouds of points from files: PLY, in text or binary, and NumPy's."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path
@@ -29,13 +27,13 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
     """
     try:
         # Largest file of a cloud; a million points with normals and colours are smaller [bytes].
-        points = np.asarray(_READERS[path.suffix.lower()](read_file(path, (2**28))), np.float64)
+        read = {".ply": _ply, ".npz": _npz}[path.suffix.lower()]
+        points = np.asarray(read(read_file(path, 2**28)), np.float64)
         if points.shape[1:] != shape or (len(shape) > 1 and not np.isfinite(points).any()):
             raise ValueError(f"its points have shape {points.shape}, not {('m', *shape)}, or none is finite")
     except Exception as error:  # those of the libraries on broken content have nothing in common
-        why = reason(error).rstrip(".")
-        problem = f"can't be read as points ({why}); give a PLY or NPZ file of x, y, z"
-        raise InputError(f"{printable(path)} {problem}.") from error
+        problem = f"can't be read as points ({reason(error).rstrip('.')})"
+        raise InputError(f"{printable(path)} {problem}; give a PLY or NPZ file of x, y, z.") from error
     return points
 
 
@@ -49,6 +47,3 @@ def _ply(content: bytes) -> np.ndarray:
 
 def _npz(content: bytes) -> np.ndarray:
     return np.load(io.BytesIO(content), allow_pickle=False)["points"]
-
-
-_READERS = {".ply": _ply, ".npz": _npz}

@@ -6,7 +6,7 @@ Headers are not believed where the frames themselves tell: rate, number of frame
 import math
 import re
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -31,17 +31,8 @@ Kind = TypeVar("Kind")
 
 LARGEST_FPS = 1000.0
 """Largest frame rate of a camera [1/s]; a stored one above this is a container's default."""
-PLACES, LOOKED_AT_EACH = 7, 12
-"""Places later in the video, and frames of each, that are searched for motion where the first frames show none."""
-NEIGHBOURS, BESIDE = 7, 2
-"""Gaps before and after one of which the median is the step; those that make up for one late time stamp."""
-LOST = 2.5
-"""Steps by which a video may end early without a word."""
-INTERLACED_HEIGHTS = frozenset({480, 486, 576, 1080})
-"""Heights of the pictures of interlaced television [px]."""
-NO_PICTURES = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
-HDR = {ColorTrc.SMPTE2084: "PQ", ColorTrc.ARIB_STD_B67: "HLG"}
-"""Transfer characteristics of high dynamic range."""
+NEIGHBOURS = 7
+"""Gaps before and after one of which the median is the step."""
 
 
 class Timed(NamedTuple, Generic[Kind]):
@@ -63,9 +54,10 @@ def opened(file: Path) -> Generator[tuple[InputContainer, VideoStream]]:
         InputError: it has no track of pictures.
     """
     options = {"protocol_whitelist": "file"}
+    no_pictures = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
     with av.open(f"file:{file}", options=options, metadata_errors="replace") as container:
         videos = [track for track in container.streams.video if track.codec_context is not None]
-        tracks = [track for track in videos if not track.disposition & NO_PICTURES]
+        tracks = [track for track in videos if not track.disposition & no_pictures]
         default = [track for track in tracks if track.disposition & Disposition.default]
         best = container.streams.best("video")
         track = next((each for each in tracks if best is not None and each.index == best.index), None)
@@ -161,7 +153,8 @@ def _jump(times: list[float], index: int) -> tuple[int, float]:
     """By how much numbers rise at a frame other than the first, and the local step [s]."""
     near = times[max(index - 1 - NEIGHBOURS, 0) : index + 1 + NEIGHBOURS]
     step = median(after - before for before, after in pairwise(near))
-    first, last = max(index - 1 - BESIDE, 0), min(index + BESIDE, len(times) - 1)
+    # Two gaps on either side make up for one late time stamp.
+    first, last = max(index - 3, 0), min(index + 2, len(times) - 1)
     without_others = times[last] - times[first] - (last - first - 1) * step
     gap = min(times[index] - times[index - 1], without_others)
     # Share of a step by which a time stamp may be late without a frame missing before it.
@@ -208,11 +201,12 @@ class VideoTrack:
     def _look(self, container: InputContainer, track: VideoStream) -> None:
         """Find out frame rate, length, size and what is to be done to the pictures."""
         offset, stamps, flagged, hdr, picture, stored = FieldOffset(), set(), False, "", None, (0, 0)
+        transfers = {ColorTrc.SMPTE2084: "PQ", ColorTrc.ARIB_STD_B67: "HLG"}  # of high dynamic range
         # First frames that are decoded for the frame rate, and for interlacing.
         for frame in islice(self._stored(container, track), 32):
             offset.push(frame)
             stamps.add(_time(frame))
-            flagged, hdr = flagged or frame.interlaced_frame, HDR.get(frame.color_trc, hdr)
+            flagged, hdr = flagged or frame.interlaced_frame, transfers.get(frame.color_trc, hdr)
             if picture is None:
                 picture, stored = self._picture(frame, VideoReformatter()), (frame.width, frame.height)
         if picture is None:
@@ -220,12 +214,16 @@ class VideoTrack:
         self.size = picture.shape[1], picture.shape[0]
         if offset.value is None:
             self._look_elsewhere(container, track, offset)
-        self._set_rate(sorted(stamps - {None}))
+        if len(rising := sorted(stamps - {None})) > 1:
+            *_, last = numbered(((stamp, None) for stamp in rising), 1 / self.fps)
+            measured = min(last.number / last.time_s, LARGEST_FPS)
+            # Relative difference from the measured frame rate up to which a stated one counts.
+            self.fps = self.fps if abs(self.fps / measured - 1) < 0.02 else measured
         begin = max(self.span[0], self._start)
         self.length = round((self._end - begin) * self.fps) if math.isfinite(self._end) else 0
         self.fields = ("setfield", "prog") if flagged else None  # flagged frames are converted field by field
         if offset.value is None:
-            if flagged or stored[1] in INTERLACED_HEIGHTS:
+            if flagged or stored[1] in (480, 486, 576, 1080):  # heights of interlaced television [px]
                 self.notes.append("too little moves in the frames examined to tell whether the video is interlaced")
         elif abs(offset.value) > LARGEST_OFFSET:
             self.fields = "bwdif", f"send_frame:{'tff' if offset.value > 0 else 'bff'}:all"
@@ -236,23 +234,14 @@ class VideoTrack:
             read = "{}x{} are read as {}x{}".format(*stored, *square)
             self.notes.append(f"pixels are not square: pictures of {read}")
 
-    def _set_rate(self, stamps: Sequence[float]) -> None:
-        """Take the frame rate of rising time stamps, or the stated one where it is close to that."""
-        if len(stamps) > 1:
-            *_, last = numbered(((stamp, None) for stamp in stamps), 1 / self.fps)
-            measured = min(last.number / last.time_s, LARGEST_FPS)
-            # Relative difference from the measured frame rate up to which a stated one counts.
-            self.fps = self.fps if abs(self.fps / measured - 1) < 0.02 else measured
-
     def _look_elsewhere(self, container: InputContainer, track: VideoStream, offset: FieldOffset) -> None:
-        """Search later places for motion that shows whether the video is interlaced."""
+        """Search seven places later on, twelve frames of each, for motion that shows whether they are interlaced."""
         begin = max(self._start, self.span[0])
-        for place in range(1, PLACES + 1) if math.isfinite(self._end) else ():
+        for share in np.arange(1, 8) / 8 if math.isfinite(self._end) else ():
             offset.skip()
             with suppress(av.FFmpegError):
-                seconds = begin + (self._end - begin) * place / (PLACES + 1)
-                container.seek(round(seconds * av.time_base))
-                for frame in islice(_decoded(container, track, _Damage()), LOOKED_AT_EACH):
+                container.seek(round((begin + (self._end - begin) * share) * av.time_base))
+                for frame in islice(_decoded(container, track, _Damage()), 12):
                     offset.push(frame)
             if offset.value is not None:
                 return
@@ -303,10 +292,11 @@ class VideoTrack:
         """Complaints about what the last pass, once complete, has not decoded."""
         damage, step = self._damage, 1 / self.fps
         until = max(damage.read_until, damage.decoded_until + step)
-        if math.isfinite(self._end) and self._end - until > LOST * step:
+        lost = 2.5 * step  # by which a video may end early without a word
+        if math.isfinite(self._end) and self._end - until > lost:
             whole, until = self._end - self._start, max(until - self._start, 0.0)
             return [f"truncated: the file ends after {until:.2f} s of {whole:.2f} s; copy it again"]
-        if damage.errors or damage.pictures or damage.filled_until - damage.decoded_until > LOST * step:
+        if damage.errors or damage.pictures or damage.filled_until - damage.decoded_until > lost:
             return ["damaged: some of its frames can't be decoded; copy it again"]
         return []
 

@@ -6,21 +6,9 @@ from pathlib import Path
 
 from palpate.data.source.bags import is_bag
 from palpate.data.source.images import printable
-from palpate.data.source.layout import (
-    IMAGE_SUFFIXES,
-    ClipLayout,
-    InputError,
-    companion_folders,
-    frame_files,
-    list_folder,
-)
+from palpate.data.source.layout import IMAGE_SUFFIXES, ClipLayout, InputError, folders_beside, frame_files, list_folder
 from palpate.data.source.lerobot import episodes_in, file_of
 
-VIDEO_SUFFIX = re.compile(
-    r"\.(mp4|m4v|mov|qt|3gp|3g2|avi|divx|mkv|webm|mpe?g|m2v|m?ts|m2ts|vob|mxf|flv|f4v|wmv|asf|ogv|ogm|dv|y4m)",
-    re.IGNORECASE,
-)
-"""Endings of the names of video files."""
 MOST_FOLDERS = 5_000
 """Largest number of folders that a search for clips opens, at a millisecond each; large data sets have hundreds."""
 
@@ -53,6 +41,8 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
         InputError: there are more folders than `MOST_FOLDERS`.
         OSError: the folder can't be listed.
     """
+    kinds = "mp4|m4v|mov|qt|3gp|3g2|avi|divx|mkv|webm|mpe?g|m2v|m?ts|m2ts|vob|mxf|flv|f4v|wmv|asf|ogv|ogm|dv|y4m"
+    video = re.compile(rf"\.({kinds})", re.IGNORECASE)
     found: list[Path] = []
     visited: set[tuple[int, int]] = set()  # links may lead in circles
     left = [top]
@@ -75,14 +65,14 @@ def _search(top: Path, layout: ClipLayout) -> list[Path]:
                 found.append(folder)
                 continue
             entries = [entry for entry in list_folder(folder) if not entry.name.startswith(".")]
-            companions = companion_folders(folder)
+            companions = folders_beside(folder)
             others = [entry for entry in entries if entry not in companions] if companions else []
-            if any(VIDEO_SUFFIX.fullmatch(e.suffix) or (isdir(e) and frame_files(e, layout)) for e in others):
+            if any(video.fullmatch(e.suffix) or (isdir(e) and frame_files(e, layout)) for e in others):
                 entries = others
         except OSError:
             if folder == top:
                 raise
             found.append(folder)  # opening it fails later, and the other clips go on
             continue
-        left += reversed([e for e in entries if isdir(e) or VIDEO_SUFFIX.fullmatch(e.suffix) or is_bag(e)])
+        left += reversed([e for e in entries if isdir(e) or video.fullmatch(e.suffix) or is_bag(e)])
     return found

@@ -18,18 +18,8 @@ from palpate.common.doors import plain
 from palpate.data.source.bags import is_bag, pictures, read_topic, time_stamps, topic_of
 from palpate.data.source.decoding import LARGEST_FPS, VideoTrack
 from palpate.data.source.images import picture_size, printable, read_image
-from palpate.data.source.layout import (
-    ClipLayout,
-    InputError,
-    companion_folders,
-    frame_files,
-    read_clip_file,
-    stereo_pair,
-)
+from palpate.data.source.layout import ClipLayout, InputError, folders_beside, frame_files, read_clip_file, stereo_pair
 from palpate.data.source.lerobot import file_of, name_in_data_set, span_of
-
-LARGEST_FRAME_NUMBER = 2**53
-"""Frame numbers below this are exact as floating-point numbers too."""
 
 
 @dataclass(frozen=True)
@@ -159,11 +149,9 @@ class FrameFolder(Pictures):
             self.files += files
         _check_numbers(self.files)
         patterns = " ".join(filter(None, (*layout.mask_patterns, layout.depth)))
-        unread = [each.name for each in companion_folders(path) if f"{each.name}/" not in patterns]
+        unread = " and ".join(plain(each.name) for each in folders_beside(path) if f"{each.name}/" not in patterns)
         if unread:
-            self._notes = [
-                f"files in {' and '.join(map(plain, unread))} are not read; name them in a layout (--layout)"
-            ]
+            self._notes = [f"files in {unread} are not read; name them in a layout (--layout)"]
         self.length, self._numbers = len(self.files), [number for number, _ in self.files]
         self.size = self._first_size()
 
@@ -313,8 +301,8 @@ def _check_numbers(files: Sequence[tuple[int, Path]]) -> None:
     for (number, file), (following, other) in pairwise(files):
         if number == following:
             raise InputError(f"{printable(file)} and {printable(other)} are both frame {number}; remove one of them.")
-    if files[-1][0] > LARGEST_FRAME_NUMBER:
-        raise InputError(f"{printable(files[-1][1])} has a frame number above {LARGEST_FRAME_NUMBER}; rename the file.")
+    if files[-1][0] > 2**53:  # below that they are exact as floating-point numbers too
+        raise InputError(f"{printable(files[-1][1])} has a frame number above {2**53}; rename the file.")
 
 
 def open_source(path: Path | str, layout: ClipLayout, following: Sequence[Path] = ()) -> FrameSource:

@@ -19,8 +19,7 @@ MOST_PIXELS = 2**25
 """Largest picture that is unpacked [px]; those of 8K are smaller."""
 MOST_BYTES = 8 * MOST_PIXELS
 """Largest file of a picture [bytes]: four channels of 16 bits, not packed."""
-LEAST_SIDE_PX, LARGEST_ASPECT = 32, 4
-"""Shortest side [px] and largest ratio of the sides of a picture; OpenCV's optical flow crashes on others."""
+
 _PIXEL_LIMIT = f"{MOST_PIXELS / 1e6:.0f} million pixels; store it smaller"
 """End of the error message about a picture that is too large."""
 
@@ -44,31 +43,28 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
     return decode_image(content, printable(path), flags, most)
 
 
-def decode_image(
-    content: bytes, named: str, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS
-) -> np.ndarray:
-    """Decode an image file's bytes; arguments as in `read_image`, `named` begins the error message.
+def decode_image(content: bytes, name: str, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS) -> np.ndarray:
+    """Decode an image file's bytes; arguments as in `read_image`, `name` begins the error message.
 
     Raises:
         InputError: empty, truncated, undecodable or too large content.
     """
     if not content:
-        raise InputError(f"{named} is an empty file (0 bytes); copy it again.")
+        raise InputError(f"{name} is an empty file (0 bytes); copy it again.")
     width, height = (int.from_bytes(content[place : place + 4], "big") for place in (16, 20))
     if content[12:16] == b"IHDR":
         if width * height > most != MOST_PIXELS:
-            problem = f"is {width}x{height}, far larger than its picture; store it at that size"
-            raise InputError(f"{named} {problem}.")
-        require_pixels(named, width, height)
+            raise InputError(f"{name} is {width}x{height}, far larger than its picture; store it at that size.")
+        require_pixels(name, width, height)
     image = None
     if not _truncated(content):
         try:
             image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
         except cv2.error as error:
             if "MAX_IMAGE" in str(error):
-                raise InputError(f"{named} is more than {_PIXEL_LIMIT}.") from error
+                raise InputError(f"{name} is more than {_PIXEL_LIMIT}.") from error
     if image is None:
-        raise InputError(f"{named} can't be decoded as an image (truncated or damaged); copy it again.")
+        raise InputError(f"{name} can't be decoded as an image (truncated or damaged); copy it again.")
     return image
 
 
@@ -82,17 +78,18 @@ def require_pixels(named: str, width: int, height: int) -> None:
         raise InputError(f"{named} is {width}x{height}, more than {_PIXEL_LIMIT}.")
 
 
-def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
+def picture_size(path: Path, width: int, height: int, least: int = 32, aspect: int = 4) -> tuple[int, int]:
     """(width, height) of a clip's pictures.
+
+    Args:
+        least, aspect: shortest side [px] and largest ratio of the sides; OpenCV's optical flow crashes on others.
 
     Raises:
         InputError: they are too small, or too long for their height.
     """
-    if min(width, height) < LEAST_SIDE_PX or max(width, height) > LARGEST_ASPECT * min(width, height):
-        raise InputError(
-            f"{printable(path)} has pictures of {width}x{height}; give at least {LEAST_SIDE_PX}x{LEAST_SIDE_PX} "
-            f"and at most {LARGEST_ASPECT}:1."
-        )
+    if min(width, height) < least or max(width, height) > aspect * min(width, height):
+        problem = f"{printable(path)} has pictures of {width}x{height}"
+        raise InputError(f"{problem}; give at least {least}x{least} and at most {aspect}:1.")
     return width, height
 
 

@@ -3,14 +3,13 @@
 The default instance is CholecSeg8k; other sequences are described in a YAML file (`configs/layouts/`).
 """
 
-import dataclasses
 import inspect
 import itertools
 import json
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from os.path import isdir, isfile
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
@@ -23,20 +22,13 @@ from palpate.common.settings import Checked, Positive, described, fits, shown
 
 Settings = TypeVar("Settings")
 
-CLIP_FILE, CLIP_KEYS = "clip.json", ("fps", "times", "camera", "depth_scale")
-"""Optional file of a clip folder, and what it may hold."""
+
 HALVES = ("side-by-side", "top-bottom")
 """How one picture holds the two of a stereo pair, the left one first."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 """Endings of the names of image files."""
-COMPANION = re.compile(r"(^|[_-])(masks?|depths?|disp|disparity|labels?)([_-]|$)", re.IGNORECASE)
-"""Names of folders that hold masks or depth of the pictures beside them."""
-SIDE = re.compile(r"(?<![^\W\d_])(left|right|[lr])(?![^\W\d_])", re.IGNORECASE)
-"""Word in the names of a stereo pair's pictures."""
 FRAME_RATES = (1e-6, 1e4)
 """Lowest and highest frame rate of a clip [1/s]."""
-MOST_JSON_BYTES, MOST_YAML_BYTES = 2**24, 2**17
-"""Largest JSON file (the time stamps of hours) and largest YAML file (read in seconds) [bytes]."""
 
 
 class InputError(ValueError):
@@ -111,7 +103,7 @@ def load_layout(path: Path | str) -> ClipLayout:
     path = Path(path)
     layout = from_mapping(ClipLayout, read_mapping(path, "a clip layout"), str(path))
     if layout.camera is not None and isfile(path.parent / layout.camera):
-        return dataclasses.replace(layout, camera=str((path.parent / layout.camera).resolve()))
+        return replace(layout, camera=str((path.parent / layout.camera).resolve()))
     return layout
 
 
@@ -125,9 +117,8 @@ def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
     if not isinstance(values, dict):
         raise InputError(f"{where} is not a mapping of names to values; write one.")
     kinds = get_type_hints(kind)
-    values = values | {
-        name: _nested(kinds[name], values[name], f"{where}, {name},") for name in kinds if name in values
-    }
+    nested = {name: _nested(kinds[name], values[name], f"{where}, {name},") for name in kinds if name in values}
+    values = values | nested
     for name, value in values.items():
         if name not in kinds:
             raise InputError(f"{where} has the unknown key {shown(name)}; known are {', '.join(kinds)}.")
@@ -144,9 +135,9 @@ def from_mapping(kind: type[Settings], values: Any, where: str) -> Settings:
 
 def _nested(kind: Any, value: Any, where: str) -> Any:
     """A field's value; mappings become the dataclasses that its annotation is, or holds in a tuple or by name."""
-    if dataclasses.is_dataclass(kind):
+    if is_dataclass(kind):
         return value if isinstance(value, kind) else from_mapping(kind, value, where)
-    held = next(filter(dataclasses.is_dataclass, get_args(kind)), None)
+    held = next(filter(is_dataclass, get_args(kind)), None)
     if held is not None and isinstance(value, dict):
         return {name: _nested(held, each, f"{where} {shown(name)}") for name, each in value.items()}
     if held is not None and isinstance(value, list):
@@ -162,7 +153,8 @@ def read_mapping(path: Path, meaning: str) -> dict[str, Any]:
     """
     is_json = path.suffix.lower() == ".json"
     try:
-        text = read_file(path, MOST_JSON_BYTES if is_json else MOST_YAML_BYTES).decode("utf-8-sig")
+        # JSON holds the time stamps of hours; YAML is read in seconds.
+        text = read_file(path, 2**24 if is_json else 2**17).decode("utf-8-sig")
         # OpenCV begins its files with %YAML:.
         values = json.loads(text) if is_json else yaml.load(text.replace("%YAML:", "%YAML ", 1), _Loader)
     except OSError as error:
@@ -193,9 +185,7 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-_Loader.add_constructor(
-    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
-)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, True))
 
 
 def read_clip_file(clip: Path) -> dict[str, Any]:
@@ -206,12 +196,12 @@ def read_clip_file(clip: Path) -> dict[str, Any]:
     Raises:
         InputError: unreadable file, an unknown key, an impossible frame rate or scale, or times that do not rise.
     """
-    path = clip / CLIP_FILE
+    path, known = clip / "clip.json", ("fps", "times", "camera", "depth_scale")
     if not os.path.lexists(path):
         return {}
     values = {name: value for name, value in read_mapping(path, "a clip description").items() if value is not None}
-    if unknown := sorted(values.keys() - {*CLIP_KEYS}):
-        raise InputError(f"{path} has the unknown key {shown(unknown[0])}; known are {', '.join(CLIP_KEYS)}.")
+    if unknown := sorted(values.keys() - {*known}):
+        raise InputError(f"{path} has the unknown key {shown(unknown[0])}; known are {', '.join(known)}.")
     for name, least, most in (("fps", *FRAME_RATES), ("depth_scale", 0, 1e9)):
         value = values.get(name, 1.0)
         if not (fits(value, float) and value > 0 and least <= value <= most):
@@ -271,14 +261,15 @@ def frame_files(clip: Path, layout: ClipLayout) -> list[tuple[int, Path]]:
     return list(zip(numbers, images, strict=True))
 
 
-def companion_folders(folder: Path) -> list[Path]:
+def folders_beside(folder: Path) -> list[Path]:
     """Subfolders with masks or depth by their names, which are no clips of their own."""
-    return [entry for entry in list_folder(folder) if COMPANION.search(entry.name) and isdir(entry)]
+    named = re.compile(r"(^|[_-])(masks?|depths?|disp|disparity|labels?)([_-]|$)", re.IGNORECASE)
+    return [entry for entry in list_folder(folder) if named.search(entry.name) and isdir(entry)]
 
 
 def _pictures_among(folder: Path) -> Path | None:
     """The one subfolder of pictures, where others hold their masks or depth."""
-    beside = companion_folders(folder)
+    beside = folders_beside(folder)
     others = [entry for entry in list_folder(folder) if isdir(entry) and entry not in beside] if beside else []
     held = [each for each in others if any(file.suffix.lower() in IMAGE_SUFFIXES for file in each.iterdir())]
     return held[0] if len(held) == 1 else None
@@ -287,10 +278,10 @@ def _pictures_among(folder: Path) -> Path | None:
 def stereo_pair(files: Sequence[Path]) -> tuple[Path, Path] | None:
     """A left and a right picture of the same name but for that word, where most files have such a counterpart."""
     named: dict[tuple[str, str], Path] = {}
+    word = re.compile(r"(?<![^\W\d_])(left|right|[lr])(?![^\W\d_])", re.IGNORECASE)
     for file in files:
-        side = SIDE.search(file.stem)
-        if side:
-            named[side[1][0].lower(), SIDE.sub("*", file.stem, count=1)] = file
+        if side := word.search(file.stem):
+            named[side[1][0].lower(), word.sub("*", file.stem, count=1)] = file
     pairs = [(file, named["r", rest]) for (side, rest), file in named.items() if side == "l" and ("r", rest) in named]
     return pairs[0] if 4 * len(pairs) > len(files) else None
 
@@ -299,9 +290,7 @@ def clip_folder(layout: ClipLayout, frame_path: Path) -> Path:
     """Folder of the clip that a frame image belongs to: above the subfolders of the layout's image pattern."""
     depth = len(Path(layout.image).parts)
     tail = Path(*frame_path.parts[-depth:]).as_posix()
-    if pattern_expression(layout.image).fullmatch(tail):
-        return frame_path.parents[depth - 1]
-    return frame_path.parent
+    return frame_path.parents[depth - 1 if pattern_expression(layout.image).fullmatch(tail) else 0]
 
 
 def right_beside(clip: Path, layout: ClipLayout) -> Path | None:
@@ -317,9 +306,5 @@ def right_beside(clip: Path, layout: ClipLayout) -> Path | None:
 def companion(layout: ClipLayout, frame_path: Path, pattern: str) -> Path:
     """Path of a frame's companion file (mask or depth), with the image's own zero padding; it may not exist."""
     match = pattern_expression(Path(layout.image).name).fullmatch(frame_path.name)
-    if match:
-        number = match[1]
-    else:
-        digits = re.findall(r"\d+", frame_path.stem)
-        number = digits[-1] if digits else frame_path.stem
-    return clip_folder(layout, frame_path) / pattern.replace("{number}", number)
+    digits = [match[1]] if match else re.findall(r"\d+", frame_path.stem) or [frame_path.stem]
+    return clip_folder(layout, frame_path) / pattern.replace("{number}", digits[-1])

@@ -1,6 +1,5 @@
 """Frames as they come from a camera, a stream or a pipe; those that have waited too long are dropped and counted."""
 
-import math
 import threading
 import time
 from collections import deque
@@ -54,7 +53,7 @@ class LiveSource(FrameSource):
             self.size = picture_size(self.path, *self._waiting[0][2].shape[1::-1])
 
     def _take(self) -> None:
-        begun, number = math.nan, -1
+        begun, number = np.nan, -1
         try:
             for picture in self._pictures:
                 came = time.monotonic()

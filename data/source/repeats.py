@@ -15,17 +15,14 @@ from palpate.data.source.frames import Frame
 
 MOST_GAPS = 5
 """Frames in a row that measure nothing and are bridged; after more of them nobody knows what went on."""
-STILL = 0.25
-"""Largest change of a repeat over that of the pictures around it. In 54 encoded clips repeats reached 0.25 where tissue
-moved visibly, and other pictures stayed above 0.39."""
+
+
 HISTORY, LEAST_HISTORY = 5, 3
 """Most and fewest changes by which the next one is judged."""
-CELL = 8
-"""Side of the squares over which differences are averaged [px]."""
 
 
 class _Change(NamedTuple):
-    """Difference of two pictures, in levels of green, averaged over squares."""
+    """Difference of two pictures, in levels of green, averaged over squares of 8 px."""
 
     largest: float
     median: float
@@ -33,18 +30,19 @@ class _Change(NamedTuple):
 
 def _change(before: np.ndarray, after: np.ndarray) -> _Change:
     height, width = after.shape
-    size = max(width // CELL, 1), max(height // CELL, 1)
-    difference = cv2.absdiff(before, after).astype(np.float32)
+    difference, size = cv2.absdiff(before, after).astype(np.float32), (max(width // 8, 1), max(height // 8, 1))
     squares = cv2.resize(difference, size, interpolation=cv2.INTER_AREA)
     return _Change(float(squares.max()), float(np.median(squares)))
 
 
-def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True) -> Iterator[tuple[Frame, bool]]:
+def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True, least: float = 0.25) -> Iterator[tuple[Frame, bool]]:
     """Yield every frame with whether its picture repeats the one before.
 
     Args:
         frames: of a clip, in order.
         look_ahead: whether a frame may wait for later ones, for up to 0.1 s; else only noise tells a repeat.
+        least: largest change of a repeat over that of the pictures around it. In 54 encoded clips repeats reached 0.25
+            where tissue moved visibly, and other pictures stayed above 0.39.
     """
     past: deque[_Change] = deque(maxlen=HISTORY)
     waiting: list[tuple[Frame, _Change, bool]] = []
@@ -60,16 +58,16 @@ def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True) -> Iterator[t
         change, certain, still = _change(last, green), False, False
         if len(past) >= LEAST_HISTORY:
             usual = _Change(*np.median(past, axis=0))
-            certain = change.largest < STILL * usual.median
+            certain = change.largest < least * usual.median
             # Compression leaves smaller differences than this between equal pictures [levels].
-            still = change.largest < min(5.0, STILL * past[-1].largest, STILL * usual.largest)
+            still = change.largest < min(5.0, least * past[-1].largest, least * usual.largest)
             # Median difference of pictures from which noise alone tells repeats, which are exact there [levels].
             still &= look_ahead and usual.median < 1.0
         last = green
         if certain and not waiting:
             yield frame, True
             continue
-        repeats = not still and all(each.largest < STILL * change.largest for _, each, _ in waiting)
+        repeats = not still and all(each.largest < least * change.largest for _, each, _ in waiting)
         waiting.append((frame, change, certain))
         # Pictures without noise that stand still for longer are taken for a still scene, as a tool that presses stands.
         if (certain or still) and frame.time_s - waiting[0][0].time_s < 0.1:

@@ -22,9 +22,6 @@ from palpate.data.source.table import read_series
 Row = tuple[float, float, float, float]
 Place = tuple[float, float, float]
 UNITS = {"m": 1.0, "mm": 1e-3}
-POSES = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
-ROUNDED = 1e-3
-"""Tables of poses reach farther by this, since their times are rounded [s]."""
 
 
 @dataclass(frozen=True)
@@ -192,13 +189,6 @@ def is_sequence(path: Path) -> bool:
     return path.suffix.lower() in (".yaml", ".yml") and path.is_file()
 
 
-def _require_reach(path: Path, rows: np.ndarray, times: np.ndarray) -> None:
-    """Raise an InputError unless a table's rows [s] reach over times of frames [s]."""
-    if times[0] < rows[0] - ROUNDED or times[-1] > rows[-1] + ROUNDED:
-        why = f"reaches from {rows[0]:g} to {rows[-1]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
-        raise InputError(f"{printable(path)} {why}; put both on one clock.")
-
-
 def open_sequence(path: Path) -> Sequence:
     """Read what a sequence's file says; whether it fits together is for `sequence_checks` to see.
 
@@ -217,16 +207,19 @@ def open_sequence(path: Path) -> Sequence:
         why = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
         raise InputError(f"{where} {why}; give 2 at least, their {{number}} in the files' names, and a time for each.")
     low, high = given.gripped_s or (times[0], times[-1])
-    held = np.flatnonzero((low - ROUNDED <= times) & (times <= high + ROUNDED))
+    rounded = 1e-3  # to which times in tables are [s]
+    held = np.flatnonzero((low - rounded <= times) & (times <= high + rounded))
     if len(held) < 2:
         raise InputError(f"{where}: {len(held)} frames lie from {low:g} to {high:g} s (gripped_s); give 2 at least.")
     pins = scale * np.sort(np.array([[*pin.values()] for pin in given.pins], float).reshape(-1, 2, 3), axis=1)
     camera = None if given.camera is None else load_camera(folder / given.camera, stated=True)
     radius = 6e-3 if given.grip_radius is None else scale * given.grip_radius
-    table = read_series(folder / given.poses, POSES, "table of poses", 2)
+    table = read_series(folder / given.poses, ("time_s", *"xyz", "qx", "qy", "qz", "qw"), "table of poses", 2)
     if not table[:, 4:].any(axis=1).all():
         raise InputError(f"{printable(folder / given.poses)} holds a quaternion of length 0; correct that row.")
     places, tip = scale * table[:, 1:4], scale * np.array(given.tip, float)
     tool = Tool(folder / given.poses, table[:, 0], Rotation.from_quat(table[:, 4:]), places, tip)
-    _require_reach(tool.path, tool.times, times)
+    if times[0] < table[0, 0] - rounded or times[-1] > table[-1, 0] + rounded:
+        why = f"from {table[0, 0]:g} to {table[-1, 0]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
+        raise InputError(f"{printable(tool.path)} reaches {why}; put both on one clock.")
     return Sequence(path, given, files, numbers, times, tool, pins, radius, range(held[0], held[-1] + 1), camera)

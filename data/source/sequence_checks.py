@@ -7,10 +7,6 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import Sequence
 
-LARGEST, SMALLEST = 2.0, 1e-3
-"""Tissue that is wider or narrower has another unit [m]."""
-LOOKED_AT, THINNED = 150, 3000
-"""Frames, and points of each, by which frames of coordinates are compared."""
 NEAR = 0.01
 """A tip that never comes so near to the tissue, while it holds it, is in another frame [m]."""
 
@@ -22,10 +18,11 @@ def require_fit(sequence: Sequence) -> None:
         InputError: it doesn't, a sentence that says what to mend; or a file can't be used.
     """
     held, first = sequence.held, sequence.first[1]
-    frames = np.unique(np.linspace(held[0], held[-1], min(len(held), LOOKED_AT)).round().astype(int))
+    # Frames of coordinates are compared by 150 frames, and 3000 points of each.
+    frames = np.unique(np.linspace(held[0], held[-1], min(len(held), 150)).round().astype(int))
     _require_metres(sequence, first)
     clouds = ((frame, first if frame == held[0] else sequence.cloud(frame)) for frame in frames)
-    trees = {frame: KDTree(each[:: len(each) // THINNED + 1]) for frame, each in clouds if len(each)}
+    trees = {frame: KDTree(each[:: len(each) // 3000 + 1]) for frame, each in clouds if len(each)}
     _require_frame(sequence, [*trees.values()], sequence.tool.tips(sequence.times[[*trees]]))
     if sequence.points is not None:
         there = sequence.points[held[0]]
@@ -36,8 +33,8 @@ def require_fit(sequence: Sequence) -> None:
 
 def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
     size = float(np.ptp(np.quantile(cloud, (0.05, 0.95), axis=0), axis=0).max())
-    if not SMALLEST <= size <= LARGEST:
-        likely, unit = ("millimetres", "mm") if size > LARGEST else ("metres", "m")
+    if not 1e-3 <= size <= 2.0:  # tissue that is wider or narrower has another unit
+        likely, unit = ("millimetres", "mm") if size > 2.0 else ("metres", "m")
         give = f"unit: {unit}" if sequence.camera is None else "the length of its unit in metres as depth_factor"
         problem = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
         raise InputError(f"{printable(sequence.files[sequence.held[0]])} {problem}.")

@@ -15,21 +15,19 @@ from palpate.data.source.layout import InputError
 
 MOST_BYTES = 2**26
 """Largest table that is read [bytes]; an hour of a sensor at 1000 rows a second is smaller."""
-MOST_LETTERS = 120
-"""Largest number of letters of a reason in an error message."""
 
 
-def reason(error: Exception) -> str:
-    """Why a file can't be read, in a few words that don't repeat its content."""
+def reason(error: Exception, most: int = 120) -> str:
+    """Why a file can't be read, in a few words of so many letters at most, which don't repeat its content."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if isinstance(error, UnicodeError):
         return "it is no text"
     if isinstance(error, KeyError):
-        return f"there is no {plain(str(error))[:MOST_LETTERS]}"
+        return f"there is no {plain(str(error))[:most]}"
     if isinstance(error, (TypeError, AttributeError, RecursionError)):
         return "it is built otherwise"
-    return plain(str(error))[:MOST_LETTERS]
+    return plain(str(error))[:most]
 
 
 def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:

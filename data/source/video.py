@@ -10,10 +10,6 @@ from typing import Final
 import av
 import numpy as np
 
-X264 = {"preset": "veryfast", "x264-params": "cpu-independent=1"}
-"""Options of x264, whose version for the processor codes the same pictures differently from time to time: it reads
-memory that it has not written."""
-
 
 @contextmanager
 def _as_os_error() -> Generator[None]:
@@ -34,6 +30,7 @@ class Video:
         size: width and height of the pictures, even [px].
         fps: frames a second.
         crf: constant rate factor of H.264; lower is better.
+        preset: what of x264 trades time for size.
 
     Raises:
         OSError: the file can't be written (also from the methods), or PyAV lacks the encoder, which its wheels have.
@@ -41,12 +38,15 @@ class Video:
 
     encoder: Final = "libx264"
 
-    def __init__(self, path: Path, size: tuple[int, int], fps: float, crf: int = 21) -> None:
+    def __init__(self, path: Path, size: tuple[int, int], fps: float, crf: int = 21, preset: str = "veryfast") -> None:
         if self.encoder not in av.codecs_available:
             raise OSError(errno.ENOSYS, f"PyAV lacks the encoder {self.encoder}; install its wheel", str(path))
         self._container = av.open(str(path), "w", options={"movflags": "+faststart"})
+        # The version of x264 for the processor codes the same pictures differently from time to time: it reads memory
+        # that it has not written.
+        options = {"crf": str(crf), "preset": preset, "x264-params": "cpu-independent=1"}
         rate = Fraction(fps).limit_denominator(1001)
-        self._stream = self._container.add_stream(self.encoder, rate=rate, options={"crf": str(crf)} | X264)
+        self._stream = self._container.add_stream(self.encoder, rate=rate, options=options)
         self._stream.width, self._stream.height = size
         self._stream.pix_fmt = "yuv420p"
 

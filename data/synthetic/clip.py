@@ -4,7 +4,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from palpate.data.source.camera import Camera
 from palpate.data.synthetic.errors import depth_bias, observe_depth, observe_labels, reported_camera, stored_to_depth
 from palpate.data.synthetic.files import open_video, write_frame, write_truth
 from palpate.data.synthetic.grip import GrippedMotion, draw_grip
+from palpate.data.synthetic.passage import draw_passage
 from palpate.data.synthetic.render import Renderer
 from palpate.data.synthetic.scene import Scene, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
@@ -56,7 +57,11 @@ def draw_truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
         SceneError: the settings leave nothing to draw.
     """
     scene, generator = draw_scene(settings, np.random.default_rng([seed, 0])), np.random.default_rng([seed, 1])
-    return scene, draw_grip(scene, generator) if settings.action == "grip" else draw_motion(scene, generator)
+    draw = draw_motion if settings.action in ("press", "slide") else draw_grip
+    motion = draw(scene, generator)
+    if settings.view == "filled":
+        motion = replace(motion, passage=draw_passage(scene, motion, np.random.default_rng([seed, 7])))
+    return scene, motion
 
 
 def observe(scene: Scene, motion: TrueMotion, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

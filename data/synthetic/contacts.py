@@ -13,19 +13,19 @@ import numpy as np
 from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
-from palpate.data.contact.depth_sequence import REACH as SEQUENCE_REACH
-from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import Patches
 from palpate.data.synthetic.scene import Scene, crop_mesh, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.tool import TIP_START, jaw_width
 from palpate.data.synthetic.truth import draw_theta
+from palpate.physics.depth import REACH as SEQUENCE_REACH
+from palpate.physics.depth import DepthSequence, SequenceNoise
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd.simulation import simulate
 from palpate.physics.observation import Observation
+from palpate.physics.patches import Patches
 
 CROP_RADIUS = 40
 """Half side of the part of the mesh that is kept [grid px]: no wave returns from farther away within a second."""
@@ -104,7 +104,7 @@ def _draw_press(
     load = Press.at(vertex, direction.astype(np.float32), stamps)
     observed = Observation.of_point(vertex, times, moved[:, 0], 0.0)
     sequence = None if view is None else _sequence(view, moved[:, 1:], times, stamped, generator)
-    return SimulatedContact(Interaction(mesh, load, observed, time_step, sequence), theta)
+    return SimulatedContact(Interaction(mesh, load, {"point": observed}, time_step).having(depth=sequence), theta)
 
 
 def _sequence(

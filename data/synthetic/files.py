@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from palpate.common.files import as_json, read_beside
+from palpate.common.files import as_json
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.video import Video
 from palpate.data.synthetic.errors import reported_camera
@@ -19,8 +19,9 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
-TEXTS: dict[str, dict[str, str]] = read_beside(__file__)
-"""What is said of units, and of arrays."""
+OWN = {"PressedMotion": ("response", "force", "touched"), "GrippedMotion": ("log_stiffness", "reaction", "course")}
+"""Arrays of truth.npz that one kind of motion alone has."""
+UNITS = "scene units (stored depth over its type's largest value), s; stiffness, damping and force normalised, not N"
 INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
 GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
 COLORS = np.zeros((256, 3), np.uint8)
@@ -43,15 +44,26 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
 
 
 def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> None:
-    """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read)."""
+    """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read).
+
+    Arrays of truth.npz: trajectory [F, 3], the displacement of the vertex that the tool touches; in_contact [F]; times
+    [F]; mesh_vertices [N, 3], mesh_springs [S, 2], mesh_rim [N] and mesh_pixels [N, 2] of the organ at rest, of a grip
+    of all tissue; moving [M], field [F, M, 3] (float16), the vertices that move and their displacement; tip [F, 3] of a
+    filled view, the point of the tool that touches. Of a press: response [R, 3], the contact vertex every 5 ms from the
+    force's start (onset_s + force_delay_s), the first 5 ms after it; force [F], signed, just after each frame's time;
+    touched [F], the mesh vertex that the tool touches. Of a grip: log_stiffness [h, w], relative to the mean at every
+    grid pixel; reaction [F, 2], what holds the tissue over k_s along the picture's axes; course [F, 2], the tip of
+    an island's tool from the contact vertex in the picture, columns and rows [grid px].
+    """
     settings, mesh = scene.settings, scene.mesh
     camera = dataclasses.asdict(reported_camera(scene.camera, settings))
     clip = {"fps": settings.fps, "camera": camera, "depth_scale": 1.0, "times": motion.times.tolist()}
-    own = TEXTS[type(motion).__name__]
     arrays: dict[str, Any] = {"trajectory": motion.contact, "in_contact": motion.in_contact, "times": motion.times}
     arrays |= {f"mesh_{name}": getattr(mesh, name) for name in ("vertices", "springs", "rim", "pixels")}
     arrays |= {"moving": motion.moving.astype(np.int32), "field": motion.field.astype(np.float16)}
-    np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in own})
+    tool = {} if motion.passage is None else vars(motion.passage)
+    arrays |= {name: value for name, value in tool.items() if name == "tip"}
+    np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in OWN[type(motion).__name__]})
     truth = {
         "seed": seed,
         "action": settings.action,
@@ -62,9 +74,9 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         "contact_vertex": scene.vertex,
         "contact_pixel": dict(zip(("row", "column"), mesh.pixels[scene.vertex].tolist(), strict=True)),
         "direction": scene.direction.tolist(),
+        "tool": {name: np.asarray(value).tolist() for name, value in tool.items() if name != "tip"},
         "camera": dataclasses.asdict(scene.camera),
-        "units": TEXTS["units"],
-        "arrays": TEXTS["arrays"] | own,
+        "units": UNITS,
         "settings": dataclasses.asdict(settings),
     }
     for name, content in (("truth.json", truth), ("clip.json", clip)):

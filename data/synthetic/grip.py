@@ -14,7 +14,7 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.special import k0e, k1e
 
-from palpate.data.synthetic.scene import Scene, SceneError, require_room
+from palpate.data.synthetic.scene import Scene, draw_way, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import TrueMotion
 from palpate.physics.mesh import grid_springs, laplacian
@@ -29,20 +29,18 @@ RISE_SHARE = (0.6, 0.95)
 """Range of the share of the time in contact after which the tool is farthest from its start."""
 LARGEST_BEND = 0.2
 """Largest sideways bend of the tool's path, as a share of its length."""
-TIP_MARGIN_PX = 12.0
-"""Least distance of the tip from the picture's border [grid px]."""
 REGION_LINE_OFFSET, REGION_LINE_HALF_WIDTH = (-4.0, 10.0), 2.0
 """Range of the distance between the grip and the line between two regions, and half the width of the step [grid px]."""
 APPROACH_LENGTH = (15.0, 45.0)
 """Range of the distance between the contact vertex and where the tool's approach begins [grid px]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GrippedMotion(TrueMotion):
     """True motion of a sheet that a tool holds from its first frame in contact to the clip's end."""
 
     course: np.ndarray
-    """Offset of the tip from the contact vertex in the picture, shape [F, 2] [grid px]; 0 in contact."""
+    """Offset of an island's tool from the contact vertex in the picture, shape [F, 2] [grid px]; 0 in contact."""
     anchor: float
     """Foundation of a node over the stiffness of a spring, nodes a grid px apart and joined along both diagonals."""
     damping: float
@@ -62,6 +60,8 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
     """
     settings = scene.settings
     onset = round(generator.uniform(*settings.onset_fraction) * settings.frames)
+    if settings.action in ("hover", "pass"):
+        onset = settings.frames
     spread = math.exp(generator.uniform(*np.log(settings.spread)))
     relaxation = math.exp(generator.uniform(*np.log(settings.relaxation)))
     path, course = draw_tip_path(scene, generator), draw_course(onset, settings, generator)
@@ -85,6 +85,7 @@ def draw_grip(scene: Scene, generator: np.random.Generator) -> GrippedMotion:
         moving=np.arange(len(scene.mesh.vertices)),
         field=field,
         course=course,
+        touched=np.full(settings.frames, scene.vertex),
         anchor=anchor,
         damping=anchor * relaxation,
         log_stiffness=log_stiffness[inner],
@@ -100,18 +101,7 @@ def draw_tip_path(scene: Scene, generator: np.random.Generator) -> Callable[[np.
     Raises:
         SceneError: the path would leave the picture.
     """
-    settings = scene.settings
-    size = np.array([settings.grid_width, settings.grid_height])
-    row, column = scene.mesh.pixels[scene.vertex]
-    for _ in range(100):
-        length = generator.uniform(*settings.peak_displacement) / scene.spacing
-        angle = generator.uniform(0, 2 * np.pi)
-        far = length * np.array([math.cos(angle), math.sin(angle)])
-        end = np.array([column, row]) + far
-        if (end > TIP_MARGIN_PX).all() and (end < size - TIP_MARGIN_PX).all():
-            break
-    else:
-        raise SceneError(f"scene.peak_displacement {settings.peak_displacement} leaves the picture; choose smaller.")
+    far = draw_way(scene, "peak_displacement", scene.spacing, generator)
     sideways = generator.uniform(-LARGEST_BEND, LARGEST_BEND) * np.array([-far[1], far[0]])
     rise = generator.uniform(*RISE_SHARE)
 

@@ -15,7 +15,7 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.camera import back_project
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
-from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, draw_tool
+from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, draw_tool, paint
 from palpate.data.synthetic.truth import TrueMotion
 
 GREY = {name: entry.grey for name, entry in CLASSES.items()}
@@ -24,6 +24,8 @@ ALBEDO = {"gallbladder": (0.80, 0.49, 0.34), "liver": (0.36, 0.12, 0.10), "abdom
 """Linear RGB of the tissues."""
 FAT_ALBEDO = (0.78, 0.62, 0.25)
 """Linear RGB of fat."""
+LENS = np.zeros(3, np.float32)
+"""Place of a lamp at the lens."""
 FAT_LIFT = 0.04
 """How far the occluding piece of fat lies before the tissue [scene units]."""
 
@@ -39,13 +41,23 @@ class Renderer:
         self.albedo = reflectance(scene, self.rest_labels, generator)
         self.bumps = bumps(scene, generator)
         self.fat_course = generator.uniform(size=(2, 2))
+        settings = scene.settings
+        angle, offset = generator.uniform(0, 2 * np.pi), np.float32(settings.lamp_offset)
+        # Two lamps at any side of the lens, 134 degrees apart.
+        angles = np.array([angle, angle + 2.34][: 1 + (offset > 0)], np.float32)
+        self.lamps = offset * np.stack((np.cos(angles), np.sin(angles), 0 * angles), axis=-1)
+        if settings.masked == "all":
+            self.rest_labels[:] = GREY["gallbladder"]
         camera = scene.camera
         self.rays = back_project(np.ones((camera.height, camera.width)), camera)
+        corner = np.square(self.rays[..., :2] / self.rays[0, 0, :2]).mean(axis=-1, keepdims=True)
+        self.gain = 1 - settings.vignetting * corner
 
     @cached_property
-    def rest_light(self) -> np.ndarray:
-        """Linear light of the tissue at rest, shape [H, W, 3]."""
-        return self._tissue_light(self.rest, np.s_[0 : self.scene.settings.height, 0 : self.scene.settings.width])
+    def rest_lights(self) -> list[np.ndarray]:
+        """Linear light of the tissue at rest from each lamp alone, shape [H, W, 3]."""
+        whole = np.s_[0 : self.scene.settings.height, 0 : self.scene.settings.width]
+        return [self._tissue_light(self.rest, whole, lamp) for lamp in self.lamps]
 
     def frame(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Draw a frame. Frames are drawn in order: the noise goes on from the last one.
@@ -57,23 +69,33 @@ class Renderer:
         view = deformed_view(self.scene, self.motion, index, self.rest)
         how = cv2.INTER_NEAREST, None, cv2.BORDER_REPLICATE
         labels = cv2.remap(self.rest_labels, view.rest_u, view.rest_v, *how)
-        light, depth = self.rest_light.copy(), view.depth.copy()
-        if view.region[0].stop > 0:
-            light[view.region] = self._tissue_light(view, view.region)
+        light, depth = self._lit_tissue(index, view), view.depth.copy()
         if self.scene.settings.occlusion > 0:
             self._add_fat(index, labels, light, depth)
         if self.scene.settings.tool_in_view:
-            tool = draw_tool(self.scene, self.motion, index, view).visible(labels != GREY["fat"], depth)
-            tool.paint(labels, light, depth)
-        blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), 0.15 * self.scene.settings.cell[0] + 0.05)
+            paint(draw_tool(self.scene, self.motion, index, view, self.rays), labels, light, depth)
+        sigma = 0.15 * self.scene.settings.cell[0] + 0.05
+        blurred = cv2.GaussianBlur((light * self.gain).astype(np.float32), (0, 0), sigma)
         picture = encode_srgb(np.clip(blurred, 0, 1))
         if self.scene.settings.image_noise > 0:
             noise = self.noise.standard_normal(picture.shape, dtype=np.float32)
             picture = picture + self.scene.settings.image_noise * noise
         return np.clip(picture * 255 + 0.5, 0, 255).astype(np.uint8), labels, depth
 
-    def _tissue_light(self, view: SheetView, region: tuple[slice, slice]) -> np.ndarray:
-        """Linear light of the tissue over a region, shape [h, w, 3]."""
+    def _lit_tissue(self, index: int, view: SheetView) -> np.ndarray:
+        """Linear light of the tissue in a frame, the tool's shadow on it, shape [H, W, 3]."""
+        total, passage = 0.0, self.motion.passage
+        for lamp, rest in zip(self.lamps, self.rest_lights, strict=True):
+            light = rest.copy()
+            if view.region[0].stop > 0:
+                light[view.region] = self._tissue_light(view, view.region, lamp)
+            if passage is not None and self.scene.settings.tool_in_view:
+                light *= passage.lit(index, lamp, self.rays * view.depth[..., None])[..., None]
+            total = total + light / len(self.lamps)
+        return np.asarray(total)
+
+    def _tissue_light(self, view: SheetView, region: tuple[slice, slice], lamp: np.ndarray = LENS) -> np.ndarray:
+        """Linear light of the tissue over a region if a lamp at a place [3] gives all light, shape [h, w, 3]."""
         # Smoothing and gradients need neighbours: the border of what is computed is not used.
         margin = math.ceil(4 * self.scene.settings.cell[0])
         starts = [max(part.start - margin, 0) for part in region]
@@ -86,16 +108,18 @@ class Renderer:
         rays = self.rays[outer]
         points = rays * _smooth(view.depth[outer], 0.6 * self.scene.settings.cell[0])[..., None]
         normals = surface_normals(points)
-        distance_square = np.einsum("ijk,ijk->ij", points, points)
-        towards = -points / np.sqrt(distance_square)[..., None]
+        distance_square = np.einsum("ijk,ijk->ij", lamp - points, lamp - points)
+        towards = (lamp - points) / np.sqrt(distance_square)[..., None]
         facing = np.clip(np.einsum("ijk,ijk->ij", normals, towards), 0.02, 1)
         rough = normals.copy()
         rough[..., :2] += bumps
         rough /= np.linalg.norm(rough, axis=-1, keepdims=True)
+        if lamp.any():  # a mirror facing half-way between lamp and lens shows the lamp
+            towards -= points / np.linalg.norm(points, axis=-1, keepdims=True)
+            towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
         glance = np.clip(np.einsum("ijk,ijk->ij", rough, towards), 0, 1)
         falloff = EXPOSURE_DISTANCE**2 / distance_square
-        # A wet surface mirrors the light within about 2 degrees (Phong).
-        highlight = self.scene.settings.highlights * np.power(glance, 1500)
+        highlight = self.scene.settings.highlights * np.power(glance, self.scene.settings.gloss)
         return ((albedo * facing[..., None] + highlight[..., None]) * falloff[..., None])[inner]
 
     def _add_fat(self, index: int, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
@@ -150,7 +174,10 @@ def rest_labels(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     angle = generator.uniform(0, 2 * np.pi)
     x, y = columns / settings.grid_width - 0.5, rows / settings.grid_height - 0.5
     wave = 0.03 * np.sin(9 * x + angle) + 0.02 * np.cos(7 * y)
-    labels[x * math.cos(angle) + y * math.sin(angle) + wave > 0.36] = GREY["abdominal wall"]
+    beyond = 0.36
+    if settings.view == "filled":
+        beyond, wave = generator.uniform(0, 0.4), 0.06 * _noise(labels.shape, 0.3 * settings.width, generator)
+    labels[x * math.cos(angle) + y * math.sin(angle) + wave > beyond] = GREY["abdominal wall"]
     labels[scene.outline.level(columns, rows) > 0] = GREY["gallbladder"]
     return labels
 
@@ -159,7 +186,10 @@ def reflectance(scene: Scene, labels: np.ndarray, generator: np.random.Generator
     """Linear RGB reflectance of the sheet at rest, shape [H, W, 3], float32: mottled tissue with vessels."""
     shape = labels.shape
     albedo = np.empty((*shape, 3), np.float32)
-    for name, color in ALBEDO.items():
+    colors = np.array(list(ALBEDO.values()))
+    if scene.settings.view == "filled":  # any organ may be the target
+        colors = generator.permutation(colors) * np.exp(0.12 * generator.standard_normal(colors.shape))
+    for name, color in zip(ALBEDO, colors, strict=True):
         albedo[labels == GREY[name]] = color
     cell = scene.settings.cell[0]
     # A soft, dark border between the organs, without moving the labels.

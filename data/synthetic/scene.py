@@ -16,6 +16,8 @@ from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
 
 NEAREST_DEPTH, FARTHEST_DEPTH = 0.33, 0.95
 """Depths between which the whole sheet must lie [scene units]; above 1 the stored depth would saturate."""
+TIP_MARGIN = 12.0
+"""Least distance of the tip from the picture's border after its way [grid px]."""
 CLEARANCE = 7.0
 """Distance of the tool from the organ in the frames next to contact, in the picture plane [grid px]."""
 
@@ -124,6 +126,10 @@ class Scene:
         return self.sheet.distance / self.grid_camera.fx
 
 
+Place = tuple[np.ndarray, Outline, tuple[int, int]]
+"""Entry of the tool, outline of the organ, and grid pixel (column, row) of the contact."""
+
+
 def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene:
     """Draw a scene.
 
@@ -134,20 +140,20 @@ def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene
     grid_camera = camera.scaled(settings.grid_width, settings.grid_height)
     columns, rows = np.meshgrid(np.arange(settings.grid_width), np.arange(settings.grid_height))
     rays = (columns - grid_camera.cx) / grid_camera.fx, (rows - grid_camera.cy) / grid_camera.fy
+    filled = settings.view == "filled"
+    place = _draw_filled if filled else _draw_island
     for _ in range(200):
-        entry = _draw_entry(generator)
-        outline = _draw_outline(settings, entry, generator)
-        column, row = _draw_contact(outline, entry, generator)
+        entry, outline, (column, row) = place(settings, generator)
         contact_ray = np.array([(column - grid_camera.cx) / grid_camera.fx, (row - grid_camera.cy) / grid_camera.fy])
         sheet = _draw_sheet(settings, contact_ray, generator)
         depth = sheet.depth(*rays)
         if not (depth.min() > NEAREST_DEPTH and depth.max() < FARTHEST_DEPTH):
             continue
         # The motion that a grip causes spreads to tissue outside the organ.
-        tissue = (outline.level(columns, rows) > 0) | (settings.action == "grip")
+        tissue = (outline.level(columns, rows) > 0) | (settings.action == "grip") | (settings.masked == "all")
         mesh = grid_mesh(back_project(depth, grid_camera), tissue)
         vertices = np.flatnonzero((mesh.pixels == (row, column)).all(axis=1))
-        exit_offset = _exit_offset(outline, (column, row), entry)
+        exit_offset = 0.0 if filled else _exit_offset(outline, (column, row), entry)
         if len(vertices) == 1 and not mesh.rim[vertices[0]] and exit_offset < 0.3 * settings.grid_width:
             vertex = int(vertices[0])
             normal = contact_normal(mesh, vertex)
@@ -156,6 +162,48 @@ def draw_scene(settings: SceneSettings, generator: np.random.Generator) -> Scene
         f"scene.distance {settings.distance} with scene.curvature {settings.curvature} and scene.max_tilt_deg "
         f"{settings.max_tilt_deg} leaves the depths {NEAREST_DEPTH} to {FARTHEST_DEPTH}; choose smaller ones."
     )
+
+
+def draw_contact_frames(settings: SceneSettings, generator: np.random.Generator) -> tuple[int, int]:
+    """First frame in contact, and the first after it.
+
+    Raises:
+        SceneError: the clip is too short for them.
+    """
+    onset = max(1, round(generator.uniform(*settings.onset_fraction) * settings.frames))
+    load = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps))
+    if onset + load > settings.frames - 2:
+        raise SceneError(
+            f"{settings.frames} frames at {settings.fps:g} a second end before the tool is released; give scene.frames "
+            f"at least {onset + load + 2} or a shorter scene.press_seconds."
+        )
+    return onset, onset + load
+
+
+def project(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """Columns and rows of points [..., 3] in the picture, shape [..., 2] [px]."""
+    return points[..., :2] / points[..., 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+
+
+def draw_way(scene: Scene, name: str, unit: float, generator: np.random.Generator) -> np.ndarray:
+    """Draw a straight way over the tissue from the contact, columns and rows, shape [2] [grid px].
+
+    Args:
+        name: setting with the range of its length.
+        unit: grid px in a unit of the setting.
+
+    Raises:
+        SceneError: it would leave the tissue or the picture.
+    """
+    size, lengths = np.array(scene.mesh.grid_shape[::-1]), getattr(scene.settings, name)
+    inner = np.zeros(scene.mesh.grid_shape, bool)
+    inner[tuple(scene.mesh.pixels[~scene.mesh.rim].T)] = True
+    for _ in range(100):
+        far = generator.uniform(*lengths) / unit * _direction(generator.uniform(0, 2 * np.pi))
+        end = scene.mesh.pixels[scene.vertex, ::-1] + far
+        if np.minimum(end, size - end).min() > TIP_MARGIN and inner[tuple(np.rint(end[::-1]).astype(int))]:
+            return far
+    raise SceneError(f"scene.{name} {lengths} leaves the picture; choose smaller.")
 
 
 def crop_mesh(mesh: Mesh, vertex: int, reach: int) -> tuple[Mesh, np.ndarray, np.ndarray]:
@@ -182,28 +230,38 @@ def crop_mesh(mesh: Mesh, vertex: int, reach: int) -> tuple[Mesh, np.ndarray, np
     return cropped, kept, cut
 
 
-def _draw_entry(generator: np.random.Generator) -> np.ndarray:
-    """Direction within 20° of a grid axis: only then one tissue pixel lies in front of the tool's tip."""
+def _draw_island(settings: SceneSettings, generator: np.random.Generator) -> Place:
+    # Within 20° of a grid axis: only then one tissue pixel lies in front of the tool's tip.
     base = generator.choice([0.0, 180.0, -90.0, 90.0], p=[0.35, 0.35, 0.15, 0.15])
-    angle = math.radians(base + generator.uniform(-20, 20))
-    return np.array([math.cos(angle), math.sin(angle)])
-
-
-def _draw_outline(settings: SceneSettings, entry: np.ndarray, generator: np.random.Generator) -> Outline:
+    entry = _direction(math.radians(base + generator.uniform(-20, 20)))
     size = np.array([settings.grid_width, settings.grid_height])
     axes = size * generator.uniform([0.30, 0.36], [0.36, 0.42])
     # The centre is shifted away from the tool's entry, so that the tool has room to appear clear of the organ.
     center = (size - 1) / 2 - entry * size * 0.07 + generator.uniform(-1, 1, 2) * size * 0.02
-    wobble = np.stack((generator.uniform(0, [0.05, 0.04, 0.03]), generator.uniform(0, 2 * np.pi, 3)), axis=1)
-    return Outline(center, axes, wobble)
-
-
-def _draw_contact(outline: Outline, entry: np.ndarray, generator: np.random.Generator) -> tuple[int, int]:
-    """Grid pixel (column, row) of the contact, a little inside the outline on the tool's side."""
+    outline = Outline(center, axes, _draw_wobble(generator))
+    # The contact is a little inside the outline on the tool's side.
     angle = math.atan2(entry[1], entry[0]) + math.radians(generator.uniform(-25, 25))
     reach = float(outline.radius(np.array(angle))) - generator.uniform(12, 20)
-    column, row = outline.center + reach * np.array([math.cos(angle), math.sin(angle)])
-    return round(float(column)), round(float(row))
+    column, row = outline.center + reach * _direction(angle)
+    return entry, outline, (round(float(column)), round(float(row)))
+
+
+def _draw_filled(settings: SceneSettings, generator: np.random.Generator) -> Place:
+    """Organ of any place and size that holds the contact, which lies in the picture's middle three fifths."""
+    size = np.array([settings.grid_width, settings.grid_height])
+    contact = np.rint(size * generator.uniform(0.2, 0.8, 2))
+    axes = size * generator.uniform(0.3, 0.7, 2)
+    center = contact + axes * generator.uniform(0, 0.7) * _direction(generator.uniform(0, 2 * np.pi))
+    outline = Outline(center, axes, _draw_wobble(generator))
+    return _direction(generator.uniform(0, 2 * np.pi)), outline, (int(contact[0]), int(contact[1]))
+
+
+def _draw_wobble(generator: np.random.Generator) -> np.ndarray:
+    return np.stack((generator.uniform(0, [0.05, 0.04, 0.03]), generator.uniform(0, 2 * np.pi, 3)), axis=1)
+
+
+def _direction(angle: float) -> np.ndarray:
+    return np.array([math.cos(angle), math.sin(angle)])
 
 
 def _draw_sheet(settings: SceneSettings, contact_ray: np.ndarray, generator: np.random.Generator) -> Sheet:

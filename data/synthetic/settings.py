@@ -34,6 +34,11 @@ class SceneSettings(Checked, group="scene."):
     """Columns of the true mesh's grid, the network's input width."""
     grid_height: Annotated[int, 48, MOST_SIDE] = 120
     """Rows of the true mesh's grid, the network's input height."""
+    view: Literal["island", "filled"] = "island"
+    """What the picture shows: an organ that the tool leaves along the picture's plane while it doesn't touch, or, as in
+    a real view, organs that fill it, with the tool in front of them in every frame."""
+    masked: Literal["organ", "all"] = "organ"
+    """What stored masks call gallbladder, and the true mesh covers: the target organ, or all tissue."""
     field_of_view_deg: Annotated[float, 20, 110] = 60.0
     """Horizontal field of view [degrees]."""
     stiffness: Annotated[Range, 1e-6, 1e9] = (0.2, 1.0)
@@ -48,9 +53,18 @@ class SceneSettings(Checked, group="scene."):
     """Mass of every vertex [kg by the paper's convention]."""
     peak_displacement: Annotated[Range, 0, 10] = (0.01, 0.06)
     """Keep only draws whose largest displacement of the contact vertex lies in this range [scene units]."""
-    action: Literal["press", "grip"] = "press"
-    """What the tool does: press with a force, or hold tissue from its first frame in contact to the clip's last and
-    move it across the line of sight, as far as peak_displacement states; force and regime have no effect then."""
+    action: Literal["press", "grip", "slide", "hover", "pass"] = "press"
+    """What the tool does: press with a force; hold tissue from its first frame in contact to the clip's last and move
+    it across the line of sight, as far as peak_displacement states (force and regime have no effect then); in a filled
+    view also press while its tip slides over the tissue, stop in front of the tissue as if to press, or pass in front
+    of it, both without contact."""
+    travel: Annotated[Range, 0, 200] = (6.0, 20.0)
+    """Distance that the tip of a tool slides or passes, drawn uniformly [grid px]."""
+    hover_height: Annotated[Range, 0.002, 0.1] = (0.008, 0.05)
+    """Least distance along the line of sight between the tissue and the tip of a tool that hovers or passes, drawn
+    log-uniformly [scene units]."""
+    elevation_deg: Annotated[Range, 35, 70] = (40.0, 60.0)
+    """Angle between the tool's axis and the plane across the line of sight in a filled view, drawn uniformly."""
     spread: Annotated[Range, 2, 1000] = (12.0, 30.0)
     """Distance over which the motion of a grip dies away, √(3·stiffness/foundation), drawn log-uniformly [grid px]."""
     relaxation: Annotated[Range, 1e-4, 10] = (0.002, 0.01)
@@ -111,6 +125,12 @@ class SceneSettings(Checked, group="scene."):
     """Standard deviation of the picture's noise, as a share of full scale."""
     highlights: Annotated[float, 0, 5] = 0.5
     """Brightness of the highlights on wet tissue at 0.5 scene units, as a share of full scale."""
+    gloss: Annotated[float, 1, 1e5] = 1500.0
+    """Phong exponent of the highlights: 1500 mirrors the light within about 2 degrees, 30 within 15."""
+    lamp_offset: Annotated[float, 0, 0.2] = 0.0
+    """Distance of two lamps from the lens [scene units]; 0 is one lamp at the lens, which casts no visible shadow."""
+    vignetting: Annotated[float, 0, 1] = 0.0
+    """Share of the light that is missing in the picture's corners; grows with the squared distance from the centre."""
     tool_in_view: bool = True
     """Draw the tool; otherwise what presses or grips is invisible, such as a probe from behind or a jet of air."""
     turning_deg: Annotated[float, 0, 10] = 0.0
@@ -123,6 +143,10 @@ class SceneSettings(Checked, group="scene."):
         super().__post_init__()
         if self.width < self.grid_width or self.height < self.grid_height:
             raise ValueError(f"scene.width and height {self.width}x{self.height} are below the grid's; give more.")
+        if self.view == "island" and (self.action in ("slide", "hover", "pass") or self.masked == "all"):
+            raise ValueError(
+                f"scene.action {self.action}, masked {self.masked} isn't an island; give scene.view filled."
+            )
         if self.rise[1] + self.fall[1] > 1:
             raise ValueError(f"scene.rise {self.rise[1]:g} and fall {self.fall[1]:g} add up to more than 1; give less.")
         rates = {"stiffness": math.sqrt(self.stiffness[1] / self.mass), "damping": self.damping[1] / self.mass}

@@ -7,20 +7,18 @@ stays in view, and away from the tip it keeps clear of the tissue, so that the t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from palpate.data.masks.class_table import CLASSES
 from palpate.data.synthetic.grip import GrippedMotion
-from palpate.data.synthetic.scene import Scene
+from palpate.data.synthetic.passage import SHAFT_RADIUS, Passage
+from palpate.data.synthetic.scene import Scene, project
 from palpate.data.synthetic.surface import SheetView
 from palpate.data.synthetic.truth import TrueMotion
 
 EXPOSURE_DISTANCE = 0.5
 """Distance at which a white surface facing the light is at full scale [scene units]."""
-SHAFT_RADIUS = 0.021
-"""Radius of the shaft [scene units]."""
 TIP_START = 0.5
 """Distance along the axis from the contact vertex to where the tool begins [grid px]."""
 TIP_GAP = 0.3
@@ -37,35 +35,20 @@ JAW_SLIT = (4.0, 15.0, 0.5)
 """Gap between the two jaws: where it begins and ends along the axis, and its half-width [grid px]."""
 
 
-@dataclass(frozen=True)
-class Tool:
-    """Pixels of the tool in one frame."""
+Tool = tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]
+"""Rows and columns of a tool's P pixels, z [P] [scene units], and light before its falloff with distance [P, 3]."""
 
-    rows: np.ndarray
-    """Rows of its pixels, shape [P]."""
-    columns: np.ndarray
-    """Columns of its pixels, shape [P]."""
-    depth: np.ndarray
-    """z, shape [P] [scene units]."""
-    light: np.ndarray
-    """Reflected light before its falloff with distance, shape [P, 3], linear RGB."""
 
-    def visible(self, bare: np.ndarray, depth: np.ndarray) -> Tool:
-        """The tool's pixels that nothing hides.
+def paint(tool: Tool, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
+    """Draw a tool into class codes [H, W], linear light [H, W, 3] and depth [H, W] [scene units], in place.
 
-        Args:
-            bare: pixels where nothing lies before the tissue, bool [H, W].
-            depth: depth of what else is in the picture, shape [H, W] [scene units].
-        """
-        pixels = self.rows, self.columns
-        kept = bare[pixels] | (self.depth < depth[pixels])
-        return Tool(self.rows[kept], self.columns[kept], self.depth[kept], self.light[kept])
-
-    def paint(self, labels: np.ndarray, light: np.ndarray, depth: np.ndarray) -> None:
-        """Draw it into class codes [H, W], linear light [H, W, 3] and depth [H, W] [scene units], in place."""
-        labels[self.rows, self.columns] = CLASSES["grasper"].grey
-        light[self.rows, self.columns] = self.light * np.square(EXPOSURE_DISTANCE / self.depth)[:, None]
-        depth[self.rows, self.columns] = self.depth
+    Fat hides the tool where it is nearer.
+    """
+    pixels, near, shade = tool
+    kept = (labels[pixels] != CLASSES["fat"].grey) | (near < depth[pixels])
+    pixels, near = (pixels[0][kept], pixels[1][kept]), near[kept]
+    labels[pixels], depth[pixels] = CLASSES["grasper"].grey, near
+    light[pixels] = shade[kept] * np.square(EXPOSURE_DISTANCE / near)[:, None]
 
 
 def tip_offset(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
@@ -81,12 +64,18 @@ def tip_offset(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
     return (scene.exit_offset + min(RETREAT_SPEED * away, FARTHEST_RETREAT)) * scene.entry
 
 
-def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView) -> Tool:
-    """Pixels, depth and brightness of the tool in a frame."""
+def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView, rays: np.ndarray) -> Tool:
+    """Pixels, depth and brightness of the tool in a frame.
+
+    Args:
+        rays: ray of every pixel, its z is 1, shape [H, W, 3].
+    """
+    if motion.passage is not None:
+        return _draw_passage(scene, motion.passage, frame, view, rays)
     camera, settings = scene.camera, scene.settings
     offset, touching = tip_offset(scene, motion, frame), bool(motion.in_contact[frame])
     vertex = scene.mesh.vertices[scene.vertex] + motion.contact[frame]
-    contact = vertex[:2] / vertex[2] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    contact = project(vertex, camera)
     tip_depth = vertex[2] if touching else vertex[2] - FREE_CLEARANCE
     columns = (np.arange(camera.width) - contact[0]) / settings.cell[0] - offset[0]
     rows = (np.arange(camera.height) - contact[1]) / settings.cell[1] - offset[1]
@@ -109,7 +98,22 @@ def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView) -> 
     if touching:
         keel = (along <= KEEL_LENGTH) & (np.abs(across) <= KEEL_WIDTH)
         depth[keel] = tip_depth - (TIP_GAP + 0.3 * np.abs(across[keel])) * scene.spacing
-    return Tool(row, column, depth.astype(np.float32), _light(along, across, section, bulge))
+    return (row, column), depth.astype(np.float32), _light(along, across, section, bulge)
+
+
+def _draw_passage(scene: Scene, passage: Passage, frame: int, view: SheetView, rays: np.ndarray) -> Tool:
+    length = np.linalg.norm(rays, axis=-1)
+    reach, apart, radius, along, sine = passage.crossed(frame, np.zeros(3), rays / length[..., None])
+    bulge = np.sqrt(np.maximum(1 - np.square(apart / radius), 0))
+    depth = (reach - radius * bulge / sine) / length
+    row, column = np.nonzero((apart < radius) & (reach > 0))
+    apart, radius, along, bulge = (part[row, column] for part in (apart, radius, along, bulge))
+    section = np.sign(rays[row, column] @ np.cross(passage.axis, passage.tip[frame])) * apart / radius
+    jaws = along * (HALF_WIDTHS[-1][0] / passage.cone)
+    light = _light(jaws, section * radius / scene.spacing, section, bulge)
+    # A dent is narrower than the tool, which would be inside the tissue around it.
+    depth = np.minimum(depth, view.depth - TIP_GAP * scene.spacing)[row, column]
+    return (row, column), depth.astype(np.float32), light
 
 
 def jaw_width(along: np.ndarray) -> np.ndarray:

@@ -5,8 +5,10 @@ eighth-order Runge-Kutta method with step control, so that recovering θ with th
 (see docs/reports/identifiability.md).
 """
 
+from __future__ import annotations
+
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -14,11 +16,12 @@ from scipy.integrate import solve_ivp
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_array
 
-from palpate.data.synthetic.scene import Scene, SceneError, crop_mesh, require_room
+from palpate.data.synthetic.passage import Passage
+from palpate.data.synthetic.scene import Scene, SceneError, crop_mesh, draw_contact_frames, draw_way, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.physics.load import Press, PressShape
 from palpate.physics.mechanics import damping_ratio
-from palpate.physics.mesh import incidence
+from palpate.physics.mesh import Mesh, incidence
 
 SAMPLE_STEP = 0.005
 """Time between samples of the stored response: Δt of Bini 2026 [s]."""
@@ -28,13 +31,17 @@ TIME_TOLERANCE = 1e-9
 """Times closer than this are equal [s]."""
 STEP = PressShape()
 """The simplest press: on a vertex, at once."""
+STILL = np.zeros(2)
+"""No travel."""
+LEAST_SLIDING = 3.0
+"""Least radius of a patch that slides [grid px]; its force is a Gaussian of half the radius, which moves smoothly."""
 
 Regime = Literal["under-damped", "critical", "over-damped"]
 REGIMES: tuple[Regime, ...] = get_args(Regime)
 """All regimes, by rising damping ratio."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrueMotion:
     """True motion of a clip's tissue, whatever its model."""
 
@@ -44,12 +51,18 @@ class TrueMotion:
     """First frame after contact."""
     times: np.ndarray
     """Time stamps of the frames [s], shape [F]."""
+    touched: np.ndarray
+    """Mesh vertex that the tool touches, if it does, in every frame, shape [F]: the contact vertex unless it slides."""
     contact: np.ndarray
-    """Displacement of the contact vertex at the frames' times, shape [F, 3] [scene units]."""
+    """Displacement of those vertices at the frames' times, shape [F, 3] [scene units]."""
     moving: np.ndarray
     """Mesh vertices that the simulation covers, shape [M], int64."""
     field: np.ndarray
     """Displacement of those vertices at the frames' times, shape [F, M, 3], float32."""
+    patch_radius: float = 0.0
+    """Radius of the patch that a tool in contact acts on [grid px]; 0 is one vertex."""
+    passage: Passage | None = None
+    """The tool of a filled view."""
 
     @property
     def in_contact(self) -> np.ndarray:
@@ -58,7 +71,7 @@ class TrueMotion:
         return (frame >= self.onset_frame) & (frame < self.release_frame)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PressedMotion(TrueMotion):
     """True motion of a sheet that a tool presses with a force."""
 
@@ -92,8 +105,10 @@ class PressedMotion(TrueMotion):
 class MeshWindow:
     """The part of the mesh that moves."""
 
+    mesh: Mesh
+    """The part itself, without triangles, its cut edge held."""
     vertices: np.ndarray
-    """Mesh vertices, shape [M]."""
+    """Vertices of the whole mesh, shape [M]."""
     difference: csr_array
     """Spring end minus spring start of vertex values, shape [S, M]."""
     edges: np.ndarray
@@ -108,10 +123,8 @@ class MeshWindow:
     """Vertices where the window cuts the mesh, shape [M], bool."""
     contact: int
     """Row of the contact vertex."""
-    pressed: np.ndarray
-    """Rows of the vertices under the tool, shape [P]."""
-    shares: np.ndarray
-    """Share of the force on each of them, shape [P], sum 1."""
+    press: Press
+    """The load at its start."""
 
 
 def regime_of(zeta: float) -> Regime:
@@ -151,14 +164,17 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     streams, loaded = generator.spawn(2), (release - onset) / settings.fps
     delays = [float(stream.uniform(*share)) / settings.fps for stream, share in zip(streams, ranges, strict=True)]
     shape = draw_shape(settings, loaded + delays[1] - delays[0], generator.spawn(1)[0])
-    peaks = []
+    travel, peaks = STILL, []
+    if settings.action == "slide":
+        travel = draw_way(scene, "travel", 1.0, generator)[::-1]
+        shape = replace(shape, radius=max(shape.radius, LEAST_SLIDING))
     times = np.linspace(0, loaded, 33)[1:]  # after release the tissue only swings back
     for _ in range(60):
         theta = draw_theta(settings, generator)
         *_, response = _integrate(scene, _Pressing(theta, loaded, shape, variation), times[-1:], times)
         peaks.append(float(np.linalg.norm(response, axis=1).max()))
         if low <= peaks[-1] <= high:
-            return simulate_motion(scene, theta, onset, release, variation, *delays, shape)
+            return simulate_motion(scene, theta, onset, release, variation, *delays, shape, travel)
     raise SceneError(
         f"scene.force {settings.force} moves the contact by {min(peaks):.2g} to {max(peaks):.2g}, outside "
         f"scene.peak_displacement [{low:g}, {high:g}]; change one of them."
@@ -174,6 +190,7 @@ def simulate_motion(
     delay: float = 0.0,
     release_delay: float = 0.0,
     shape: PressShape = STEP,
+    travel: np.ndarray = STILL,
 ) -> PressedMotion:
     """Integrate the sheet from rest through press and release.
 
@@ -185,6 +202,7 @@ def simulate_motion(
         delay, release_delay: from those frames' time stamps to the start and the end of the force [s], at most a frame
             interval each.
         shape: of the press.
+        travel: rows and columns by which the patch moves under load, shape [2] [grid px].
 
     Raises:
         SceneError: the force ends before it starts.
@@ -196,11 +214,13 @@ def simulate_motion(
         raise SceneError("The force ends before it starts; give a longer scene.press_seconds.")
     after = times[onset:] - times[onset] - delay  # since the start of the force
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
-    window, frames, response = _integrate(scene, _Pressing(theta, load, shape, variation), after, fine)
+    window, frames, response = _integrate(scene, _Pressing(theta, load, shape, variation, travel), after, fine)
     field = np.zeros((settings.frames, len(window.vertices), 3), np.float32)
     field[onset:] = frames
-    contact = np.zeros((settings.frames, 3))
-    contact[onset:] = frames[:, window.contact]
+    way = np.clip((times - times[onset] - delay) / load, 0, 1)[:, None, None] * travel
+    apart = np.linalg.norm(window.mesh.pixels - window.mesh.pixels[window.contact] - way, axis=2)
+    touched, contact = apart.argmin(axis=1), np.zeros((settings.frames, 3))
+    contact[onset:] = frames[np.arange(len(frames)), touched[onset:]]
     return PressedMotion(
         theta=theta,
         onset_frame=onset,
@@ -208,29 +228,15 @@ def simulate_motion(
         delay=delay,
         release_delay=release_delay,
         times=times,
+        touched=window.vertices[touched],
         contact=contact,
         response=response,
         force=theta[2] * force_after(shape, times - times[onset] - delay, load),
         shape=shape,
+        patch_radius=shape.radius,
         moving=window.vertices,
         field=field,
     )
-
-
-def draw_contact_frames(settings: SceneSettings, generator: np.random.Generator) -> tuple[int, int]:
-    """First frame in contact, and the first after it.
-
-    Raises:
-        SceneError: the clip is too short for them.
-    """
-    onset = max(1, round(generator.uniform(*settings.onset_fraction) * settings.frames))
-    load = max(1, round(generator.uniform(*settings.press_seconds) * settings.fps))
-    if onset + load > settings.frames - 2:
-        raise SceneError(
-            f"{settings.frames} frames at {settings.fps:g} a second end before the tool is released; give scene.frames "
-            f"at least {onset + load + 2} or a shorter scene.press_seconds."
-        )
-    return onset, onset + load
 
 
 def _stiffness_field(settings: SceneSettings, generator: np.random.Generator) -> np.ndarray | None:
@@ -275,6 +281,15 @@ class _Pressing(NamedTuple):
     shape: PressShape
     variation: np.ndarray | None
     """Relative stiffness over the grid, shape [h, w]; None = 1 everywhere."""
+    travel: np.ndarray = STILL
+
+    def shares(self, window: MeshWindow, time: float) -> tuple[np.ndarray | slice, np.ndarray]:
+        """Vertices under load at a time since its start, and the share of the force on each."""
+        if not self.travel.any():
+            return window.press.vertices, window.press.weights
+        apart = window.mesh.pixels - window.mesh.pixels[window.contact] - self.travel * min(time / self.load, 1.0)
+        weights = np.exp(-2 * np.square(apart).sum(axis=1) / self.shape.radius**2)
+        return slice(None), weights / weights.sum()
 
 
 def _reach(scene: Scene, theta: np.ndarray, duration: float) -> int:
@@ -294,14 +309,10 @@ def cut_window(scene: Scene, radius: int, variation: np.ndarray | None, shape: P
     if variation is not None:
         relative = variation[tuple(mesh.pixels.T)][mesh.springs].mean(axis=1)
     contact = int(np.searchsorted(vertices, scene.vertex))
-    pressed, shares = np.array([contact]), np.ones(1)
-    if shape.radius:
-        press = Press.on_patch(mesh, contact, shape.radius, scene.direction, np.ones(1))
-        pressed, shares = press.vertices, press.weights
-    held = mesh.rim.copy()
-    held[pressed] = False
+    press, held = shape.press(mesh, contact, scene.direction, 1.0, 1.0, 1), mesh.rim.copy()
+    held[press.vertices] = False
     lengths = np.linalg.norm(edges, axis=1)
-    return MeshWindow(vertices, difference, edges, lengths, relative, held, cut, contact, pressed, shares)
+    return MeshWindow(mesh, vertices, difference, edges, lengths, relative, held, cut, contact, press)
 
 
 def _integrate(
@@ -312,57 +323,50 @@ def _integrate(
     Times count from the start of the force, before which the tissue is at rest. The window grows until nothing moves
     where it cuts the mesh.
     """
-    radius = _reach(scene, press.theta, max(coarse[-1], fine[-1]))
-    largest = max(scene.mesh.grid_shape)
+    radius = _reach(scene, press.theta, max(coarse[-1], fine[-1])) + math.ceil(np.linalg.norm(press.travel))
+    largest, times = max(scene.mesh.grid_shape), np.union1d(coarse, fine)
     while True:
         window = cut_window(scene, radius, press.variation, press.shape)
-        displaced, response = _solve(scene, window, press, coarse, fine)
+        require_room(len(coarse) * len(window.vertices) * 3)
+        states = _solve(scene, window, press, times)
+        displaced = states[np.searchsorted(times, coarse)]
         # Displacements of the vertices that a spring joins to the cut.
         joined = abs(window.difference)
         neighbours = (joined.T @ (joined @ window.cut.astype(np.float64))) > 0
         leak = np.abs(displaced[:, neighbours]).max(initial=0)
         if leak <= 1e-6 or radius >= largest:
-            return window, displaced, response
+            return window, displaced, states[np.searchsorted(times, fine), window.contact]
         radius = math.ceil(1.5 * radius)
 
 
-def _solve(
-    scene: Scene, window: MeshWindow, press: _Pressing, coarse: np.ndarray, fine: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Integrate press and release separately, since the force may jump between them."""
-    count, load = len(window.vertices), press.load
+def _solve(scene: Scene, window: MeshWindow, press: _Pressing, times: np.ndarray) -> np.ndarray:
+    """Displacements at ascending times, shape [T, M, 3]; press and release apart, since the force may jump between."""
+    count, load, end = len(window.vertices), press.load, times[-1]
     state, tolerances = np.zeros(6 * count), {"rtol": RELATIVE_TOLERANCE, "atol": ABSOLUTE_TOLERANCE}
-    require_room(len(coarse) * count * 3)
-    displaced, response = np.zeros((len(coarse), count, 3)), np.zeros((len(fine), 3))
-    end = max(coarse[-1], fine[-1])
-    for start, stop, pressed in ((0.0, min(load, end), True), (load, end, False)):
+    displaced = np.zeros((len(times), count, 3))
+    for start, stop, force in ((0.0, min(load, end), press.theta[2]), (load, end, 0.0)):
         if stop <= start:
             continue
-        times = np.unique(np.concatenate((coarse, fine, [stop])))
-        times = times[(times > start) & (times <= stop)]
-        direction = press.shape.leaning(scene.direction) if pressed else np.zeros(3)
-        rate = _rate(scene.settings, window, press, direction)
-        solution = solve_ivp(rate, (start, stop), state, "DOP853", times, **tolerances)
+        inside = (times > start) & (times <= stop)
+        wanted = np.union1d(times[inside], stop)
+        rate = _rate(scene.settings, window, press, force)
+        solution = solve_ivp(rate, (start, stop), state, "DOP853", wanted, **tolerances)
         if not solution.success:
             raise SceneError(
                 f"The motion at θ = {press.theta} can't be integrated ({solution.message}); narrow the θ box."
             )
-        states = solution.y.T.reshape(len(times), 2, count, 3)[:, 0]
-        for wanted, result, part in ((coarse, displaced, slice(None)), (fine, response, window.contact)):
-            chosen = np.flatnonzero((wanted > start) & (wanted <= stop))
-            result[chosen] = states[np.searchsorted(times, wanted[chosen]), part]
+        displaced[inside] = solution.y.T.reshape(len(wanted), 2, count, 3)[: inside.sum(), 0]
         state = solution.y[:, -1]
-    return displaced, response
+    return displaced
 
 
-def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, direction: np.ndarray):
+def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, force: float):
     """Right-hand side of the equations of motion for the state (displacement, velocity), flattened."""
-    stiffness, damping, force = press.theta
+    stiffness, damping, _ = press.theta
     transposed = window.difference.T.tocsr()
     scale = stiffness * window.stiffness
     square = np.square(window.lengths)
     moving = (~window.held)[:, None].astype(np.float64)
-    push = np.outer(window.shares, direction)
 
     def rate(time: float, state: np.ndarray) -> np.ndarray:
         displacement, velocity = state.reshape(2, -1, 3)
@@ -376,7 +380,9 @@ def _rate(settings: SceneSettings, window: MeshWindow, press: _Pressing, directi
             # At an elongation of 0.01 springs have grown (1 + β) times as stiff.
             tension *= 1 + settings.nonlinearity * np.square(elongation / 0.01)
         forces = -(transposed @ ((tension / length)[:, None] * (window.edges + stretch))) - damping * velocity
-        forces[window.pressed] += force * force_factor(press.shape, np.asarray(time), press.load) * push
+        loaded, shares = press.shares(window, time)
+        push = force * force_factor(press.shape, np.asarray(time), press.load)
+        forces[loaded] += push * np.outer(shares, window.press.direction)
         return np.stack((velocity * moving, forces * moving / settings.mass)).ravel()
 
     return rate

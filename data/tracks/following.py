@@ -57,25 +57,41 @@ def tool_distance(tool: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A picture in which points are followed, at most MAX_SIDE wide and high."""
+    """A picture in which points are followed, at most MAX_SIDE wide and high; all that follow share it."""
 
-    gray: np.ndarray
-    """uint8 [H, W]."""
-    lit: np.ndarray
-    """Where the picture shows anything, bool [H, W]."""
-    tool: np.ndarray
-    """Mask of the tool, bool [H, W]."""
-
-    @classmethod
-    def of(cls, picture: np.ndarray, tool: np.ndarray) -> Shown:
-        """A picture of any size, uint8 [H, W, 3] RGB, with its mask of the tool, bool [H, W]."""
-        picture, tool = shrunk(picture, tool)
-        return cls(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), lit_field(picture), tool)
+    picture: np.ndarray
+    """RGB, uint8 [H, W, 3]."""
+    labels: np.ndarray
+    """Its label map, uint8 [H, W]."""
+    size: tuple[int, int]
+    """Width and height of the picture before it was shrunk [px]."""
 
     @classmethod
     def of_view(cls, view: tuple[np.ndarray, np.ndarray]) -> Shown:
-        """A picture with its label map."""
-        return cls.of(view[0], view[1] == TOOL)
+        """A picture of any size, uint8 [H, W, 3] RGB, with its label map [H, W]."""
+        picture, labels = view
+        height, width = labels.shape
+        share = MAX_SIDE / max(height, width)
+        if share < 1:
+            small = max(round(width * share), 1), max(round(height * share), 1)
+            picture = cv2.resize(picture, small, interpolation=cv2.INTER_AREA)
+            labels = cv2.resize(labels, small, interpolation=cv2.INTER_NEAREST)
+        return cls(picture, labels, (width, height))
+
+    @cached_property
+    def gray(self) -> np.ndarray:
+        """The grey picture, uint8 [H, W]."""
+        return cv2.cvtColor(self.picture, cv2.COLOR_RGB2GRAY)
+
+    @cached_property
+    def lit(self) -> np.ndarray:
+        """Where the picture shows anything, bool [H, W]."""
+        return lit_field(self.picture)
+
+    @cached_property
+    def tool(self) -> np.ndarray:
+        """Mask of the tool, bool [H, W]."""
+        return self.labels == TOOL
 
     @cached_property
     def away(self) -> np.ndarray:
@@ -122,19 +138,18 @@ class PointFollower:
     """Points on tissue from the first picture on; all in pixels of a picture at most MAX_SIDE wide and high.
 
     Args:
-        picture: the first one, uint8 [H, W, 3] RGB.
-        tool: its mask of the tool, bool [H, W].
+        shown: the first picture.
         spacing: of the points [px].
     """
 
-    def __init__(self, picture: np.ndarray, tool: np.ndarray, spacing: int = SPACING) -> None:
-        self.shown = Shown.of(picture, tool)
+    def __init__(self, shown: Shown, spacing: int = SPACING) -> None:
+        self.shown = shown
         """The last picture."""
-        gray, away = self.shown.gray, self.shown.away
+        gray, away = shown.gray, shown.away
         places = lattice(gray.shape, spacing)
         columns, rows = np.moveaxis(places, -1, 0)
         # No point begins nearer to the tool.
-        self._grid = (away[rows, columns] > 5.0) & self.shown.lit[rows, columns]
+        self._grid = (away[rows, columns] > 5.0) & shown.lit[rows, columns]
         self.spacing = spacing
         self.points = places[self._grid].astype(np.float32)
         """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
@@ -153,11 +168,11 @@ class PointFollower:
         """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
-    def step(self, picture: np.ndarray, tool: np.ndarray) -> None:
-        """Follow the points into the next picture, with its tool's mask."""
+    def step(self, shown: Shown) -> None:
+        """Follow the points into the next picture."""
         apart = ~values_at(self.shown.edge, self.place)
-        self.shown = Shown.of(picture, tool)
-        gray, tissue = self.shown.gray, self.shown.tissue
+        self.shown = shown
+        gray, tissue = shown.gray, shown.tissue
         before, self._before = self._before, self._linker.prepared(gray)
         place, returned = self._linker.link(before, self._before, self.place, self.followed, apart)
         self.followed &= (returned < CHECK) & values_at(tissue, place)
@@ -196,17 +211,6 @@ class PointFollower:
             blurred = cv2.GaussianBlur(cv2.resize(motion, small, interpolation=cv2.INTER_AREA), (0, 0), reach / coarser)
             total += share * cv2.resize(blurred, size, interpolation=cv2.INTER_LINEAR)
         return total[..., :2] / np.maximum(total[..., 2:], np.finfo(np.float32).tiny)
-
-
-def shrunk(picture: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A picture and its mask, at most MAX_SIDE wide and high."""
-    height, width = tool.shape
-    share = MAX_SIDE / max(height, width)
-    if share >= 1:
-        return picture, tool
-    size = max(round(width * share), 1), max(round(height * share), 1)
-    small = cv2.resize(tool.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA), small
 
 
 def values_at(picture: np.ndarray, place: np.ndarray) -> np.ndarray:

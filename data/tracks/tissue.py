@@ -7,13 +7,11 @@ drifts from frame to frame, so the point is also found again by what the tissue 
 
 from __future__ import annotations
 
-from collections import deque
-
 import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE
-from palpate.data.tracks.following import EDGED, Shown, shrunk, values_at
+from palpate.data.tracks.following import EDGED, Shown, values_at
 from palpate.data.tracks.linking import WINDOW, followed
 
 RADII = (8.0, 16.0, 32.0)
@@ -27,22 +25,15 @@ REACH = 8
 """Largest correction along each axis [px]."""
 _OFFSETS = np.mgrid[-8:9, -8:9].reshape(2, -1).T * float(4)
 
-View = tuple[np.ndarray, np.ndarray]
-"""Picture, uint8 [H, W, 3] RGB, and its label map, [H, W]."""
-
 
 class TissueTracker:
     """Moves tissue points of one clip between its pictures; points are (u, v) in pixels of the full pictures."""
 
-    def __init__(self) -> None:
-        self._latest: deque[tuple[np.ndarray, Shown, np.ndarray]] = deque(maxlen=2)
-        """Pictures, as they are followed, and where these show tissue."""
-
-    def near(self, source: View, target: View, point: np.ndarray) -> np.ndarray:
+    def near(self, source: Shown, target: Shown, point: np.ndarray) -> np.ndarray:
         """Where the tissue around a point [2] of one picture takes it in another one.
 
         Args:
-            source, target: the pictures with their labels.
+            source, target: the pictures.
             point: in the first of them.
 
         Returns:
@@ -50,57 +41,52 @@ class TissueTracker:
         """
         if not np.isfinite(point).all():
             return np.full(2, np.nan)
-        step, away = self._followed(source, target, self._small(source, point) + _OFFSETS)
+        step, away = self._followed(source, target, _small(source, point) + _OFFSETS)
         distance = np.linalg.norm(_OFFSETS, axis=1)
         for least, radius in (*((EDGED, radius) for radius in RADII), (0, RADII[-1])):
             around = step[(away > least) & (distance <= radius)]
             used = around[np.isfinite(around).all(axis=1)]
             if len(used) >= max(LEAST_PLACES, LEAST_FOLLOWED * len(around)):
-                return _within(target[1], point + np.median(used, axis=0) * self._scale(source))
+                return _within(target.size, point + np.median(used, axis=0) * _scale(source))
         return np.full(2, np.nan)
 
-    def each(self, source: View, target: View, points: np.ndarray) -> np.ndarray:
+    def each(self, source: Shown, target: Shown, points: np.ndarray) -> np.ndarray:
         """Where points [P, 2] of one picture are in another one, each for itself; not a number where they are lost."""
-        step, _ = self._followed(source, target, self._small(source, points))
-        return _within(target[1], points + step * self._scale(source))
+        step, _ = self._followed(source, target, _small(source, points))
+        return _within(target.size, points + step * _scale(source))
 
-    def template(self, view: View, point: np.ndarray) -> TissueTemplate:
+    def template(self, shown: Shown, point: np.ndarray) -> TissueTemplate:
         """What the tissue around a point [2] of a picture looks like."""
-        shown, tissue = self._shown(view)
-        return TissueTemplate(shown.gray, tissue & (shown.away > EDGED), self._small(view, point))
+        return TissueTemplate(shown.gray, _apart(shown), _small(shown, point))
 
-    def again(self, template: TissueTemplate, view: View, near: np.ndarray) -> np.ndarray:
+    def again(self, template: TissueTemplate, shown: Shown, near: np.ndarray) -> np.ndarray:
         """The point of a template in another picture, close to `near` [2], or `near` itself where nothing matches."""
-        shown, tissue = self._shown(view)
-        found = template.locate(shown.gray, tissue & (shown.away > EDGED), self._small(view, near))
-        return near if found is None else (found + 0.5) * self._scale(view) - 0.5
+        found = template.locate(shown.gray, _apart(shown), _small(shown, near))
+        return near if found is None else (found + 0.5) * _scale(shown) - 0.5
 
-    def _followed(self, source: View, target: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _followed(self, one: Shown, other: Shown, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements of places [N, 2], not a number where they are lost; how far the tool is [N], -1 off tissue."""
-        (one, tissue), (other, _) = self._shown(source), self._shown(target)
         step, known = followed(one.flat, other.flat, places, WINDOW)
-        usable = np.isfinite(_within(tissue, places)[:, 0]) & values_at(tissue, np.rint(places))
+        usable = np.isfinite(_within(one.gray.shape[::-1], places)[:, 0])
+        usable &= values_at(one.labels == TISSUE, np.rint(places))
         # What lands under the tool would be the tool's own motion.
         known &= usable & ~values_at(other.tool, np.rint(places + step))
         return np.where(known[:, None], step, np.nan), np.where(usable, values_at(one.away, np.rint(places)), -1.0)
 
-    def _shown(self, view: View) -> tuple[Shown, np.ndarray]:
-        """A picture as it is followed, and where it shows tissue; those of the latest two are remembered."""
-        picture, labels = view
-        for known, shown, tissue in self._latest:
-            if known is picture:
-                return shown, tissue
-        shown, tissue = Shown.of_view(view), shrunk(picture, labels == TISSUE)[1]
-        self._latest.append((picture, shown, tissue))
-        return shown, tissue
 
-    def _scale(self, view: View) -> np.ndarray:
-        """Width and height of a picture over those of the one in which its points are followed, [2]."""
-        return np.divide(view[1].shape[::-1], self._shown(view)[0].gray.shape[::-1])
+def _apart(shown: Shown) -> np.ndarray:
+    """Where a picture shows tissue away from the tool's edge, bool [H, W]."""
+    return (shown.labels == TISSUE) & (shown.away > EDGED)
 
-    def _small(self, view: View, points: np.ndarray) -> np.ndarray:
-        """Points [..., 2] in pixels of the picture in which they are followed."""
-        return (points + 0.5) / self._scale(view) - 0.5
+
+def _scale(shown: Shown) -> np.ndarray:
+    """Width and height of a picture over those of the one in which its points are followed, [2]."""
+    return np.divide(shown.size, shown.gray.shape[::-1])
+
+
+def _small(shown: Shown, points: np.ndarray) -> np.ndarray:
+    """Points [..., 2] in pixels of the picture in which they are followed."""
+    return (points + 0.5) / _scale(shown) - 0.5
 
 
 class TissueTemplate:
@@ -174,7 +160,7 @@ def _peak(values: np.ndarray) -> float:
     return 0.0 if curvature >= 0 else float(np.clip(0.5 * (values[0] - values[2]) / curvature, -0.5, 0.5))
 
 
-def _within(picture: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points [..., 2] that lie in a picture [H, W], others not a number."""
-    inside = ((points >= -0.5) & (points < np.array(picture.shape[::-1]) - 0.5)).all(axis=-1, keepdims=True)
+def _within(size: tuple[int, ...], points: np.ndarray) -> np.ndarray:
+    """Points [..., 2] that lie in a picture of a width and height, others not a number."""
+    inside = ((points >= -0.5) & (points < np.array(size) - 0.5)).all(axis=-1, keepdims=True)
     return np.where(inside, points, np.nan)

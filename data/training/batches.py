@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import Dataset
 
 from palpate.data.cache import PreparedClip
-from palpate.data.contact.depth_sequence import REACH, smooth_errors
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import Patches
 from palpate.data.contact.sequence_features import dent_features, network_noise
 from palpate.data.training.samples import Sample, SampleSettings, make_sample
 from palpate.data.training.splits import Place
+from palpate.physics.depth import DepthLikelihood, DepthSequence, SequenceNoise
 from palpate.physics.load import Press
-from palpate.physics.msd.batch import DepthBatch, ObservationBatch
+from palpate.physics.msd.batch import ObservationBatch
+from palpate.physics.patches import REACH, Patches
 
 
 class SampleDataset(Dataset):
@@ -46,7 +45,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
         the rollout's steps at the window's last frame and at the predicted one; `clip` names; `frame` [B] int64.
         For trajectories of clips whose noise is known, also what was known of the contact at frame t, equal on both
         sides: `contact_features_a`, … [B, FEATURES + SEQUENCE_FEATURES] float32 (`data.contact.sequence_features`),
-        `known_load_a`, … B presses and `dent_a`, … DepthBatch.
+        `known_load_a`, … B presses and `dent_a`, … B depth likelihoods.
     """
     batch: dict[str, Any] = {"clip": [sample.clip for sample in samples]}
     batch["frame"] = torch.tensor([sample.frame for sample in samples])
@@ -56,7 +55,7 @@ def collate(samples: Sequence[Sample]) -> dict[str, Any]:
     if all_known:
         features = np.stack([dent_features(interaction, within=0.0) for interaction in known])
         shared["contact_features"] = torch.from_numpy(features)
-        shared |= {"known_load": [interaction.load for interaction in known], "dent": join_sequences(known)}
+        shared |= {"known_load": [interaction.load for interaction in known], "dent": list(map(dent_of, known))}
     for side in ("a", "b"):
         interactions: list[Interaction] = [getattr(sample, f"interaction_{side}") for sample in samples]
         windows = np.stack([getattr(sample, f"window_{side}") for sample in samples])
@@ -75,50 +74,19 @@ def _join(interactions: Sequence[Interaction]) -> tuple[list[Press], Observation
     return loads, ObservationBatch.of(observations, interactions[0].time_step)
 
 
-def join_sequences(contacts: Sequence[Interaction]) -> DepthBatch:
-    """The depth-change sequences of some contacts, as a batch.
-
-    A contact without a sequence gives its own motion, as the middle pixel's. In a finer picture than the grid the
-    middle pixels are left out: they are means of very different depths.
-    """
-    views, *columns = zip(*map(_sequence_parts, contacts), strict=True)
-    steps, change = (pad_sequence([torch.from_numpy(part) for part in column], batch_first=True) for column in columns)
-    most = max(len(view.vertices) for view in views)
-    # The contact's vertex pads the list, since a far one would have to be simulated.
-    vertices = [
-        np.pad(view.vertices, (0, most - len(view.vertices)), constant_values=contact.vertex)
-        for view, contact in zip(views, contacts, strict=True)
+def dent_of(contact: Interaction) -> DepthLikelihood:
+    """Likelihood of a contact's depth-change sequence; without one, of its own motion, as the middle pixel's."""
+    sequence, noise = contact.sequence, _sequence_noise(contact)
+    if sequence is not None and len(sequence.times):
+        return DepthLikelihood(contact.mesh, contact.vertex, sequence, noise)
+    change = np.full((len(contact.observation), 2 * REACH + 1, 2 * REACH + 1), np.nan, np.float32)
+    size = contact.mesh.grid_shape[::-1]
+    nothing = DepthSequence(contact.observation.times, change, SequenceNoise(noise, 0.0), size)
+    patches = Patches(contact.mesh, contact.vertex, size)
+    change[:, REACH, REACH] = patches.sunk(contact.moved[:, None], np.flatnonzero(patches.vertices == contact.vertex))[
+        :, 0
     ]
-    instants = torch.tensor([len(part) for part in columns[0]])[:, None] > torch.arange(steps.shape[1])
-    weight = change.isfinite() & instants[..., None]
-    return DepthBatch(
-        views=views,
-        vertices=torch.from_numpy(np.stack(vertices)),
-        steps=steps,
-        change=torch.where(weight, change, 0.0),
-        weight=weight.float(),
-        noise=torch.tensor([_sequence_noise(contact) for contact in contacts], dtype=torch.float32),
-        common=torch.from_numpy(smooth_errors(1.0).astype(np.float32)),
-    )
-
-
-def _sequence_parts(contact: Interaction) -> tuple[Patches, np.ndarray, np.ndarray]:
-    """Patches that a contact's pixels show, steps [N] and depth changes [N, P], NaN where nothing was observed."""
-    sequence, side = contact.sequence, 2 * REACH + 1
-    if sequence is None or not len(sequence.times):
-        patches = Patches(contact.mesh, contact.vertex, contact.mesh.grid_shape[::-1])
-        moved = np.zeros((len(contact.observation), len(patches.vertices), 3))
-        place = int(np.flatnonzero(patches.vertices == contact.vertex)[0])
-        moved[:, place] = contact.moved
-        change = np.full((len(moved), side * side), np.nan, np.float32)
-        change[:, side * side // 2] = patches.sunk(moved)[:, place]
-        return patches, contact.observation.steps(contact.time_step), change
-    patches = Patches(contact.mesh, contact.vertex, sequence.size)
-    change = sequence.change.reshape(len(sequence.times), -1).copy()
-    if patches.averages:
-        near = np.abs(np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1]).max(axis=0).ravel() <= 1
-        change[:, near] = np.nan
-    return patches, np.rint(sequence.times / contact.time_step).astype(np.int64) - 1, change
+    return DepthLikelihood(contact.mesh, contact.vertex, nothing)
 
 
 def _sequence_noise(contact: Interaction) -> float:

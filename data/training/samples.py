@@ -5,15 +5,16 @@ No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1).
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from palpate.common.settings import LARGEST, Checked, NotNegative
 from palpate.data.cache import PreparedClip
+from palpate.data.contact.depth_sequence import SequenceRecorder
 from palpate.data.contact.geometry import GeometrySettings, force_direction
-from palpate.data.contact.interaction import ContactFrame, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import Interaction, InteractionBuilder
 from palpate.data.windows import future_indices, window_indices
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
@@ -110,7 +111,7 @@ def make_sample(clip: PreparedClip, frame: int, settings: SampleSettings) -> Sam
     else:
         onset = int(clip.track_start[frame])
         run = builder_of(clip, onset, settings, sequence_until=frame)
-        forward = replace(run.build(settings.mechanics), sequence=None)
+        forward = run.build(settings.mechanics).having(depth=None)
         since = clip.times[[frame, frame + settings.horizon]] - clip.times[onset]
         first, last = np.rint(since / settings.mechanics.time_step).astype(int).tolist()
         onward, course = (first, last), (last, first)
@@ -139,28 +140,15 @@ def builder_of(
         sequence_until: index of the last frame of the depth-change sequence; None = keep no sequence.
     """
 
-    def frame_of(index: int) -> ContactFrame:
-        with_sequence = sequence_until is not None and index <= sequence_until
-        return ContactFrame(
-            float(clip.times[index]),
-            bool(clip.contact[index]),
-            bool(clip.out_of_contact[index]),
-            bool(clip.consecutive[index]),
-            clip.track_position[index],
-            clip.depth(index) if with_sequence else None,
-            clip.labels(index) if with_sequence else None,
-        )
+    def frame_of(index: int) -> Any:
+        return clip.frame(index, sequence_until is not None and index <= sequence_until)
 
-    run = InteractionBuilder(
-        clip.mesh(onset),
-        int(clip.vertex[onset]),
-        clip.normal[onset],
-        float(clip.noise[onset]),
-        frame_of(onset),
-        settings.geometry,
-        settings.mechanics.seconds,
-        None if sequence_until is None else clip.size,
-    )
+    found = clip.mesh(onset), int(clip.vertex[onset])
+    noise, first = float(clip.noise[onset]), frame_of(onset)
+    depth = None if sequence_until is None else SequenceRecorder.of(*found, noise, clip.size, first)
+    recorders = {} if depth is None else {"depth": depth}
+    kept = first, settings.geometry, settings.mechanics.seconds, recorders
+    run = InteractionBuilder(*found, clip.normal[onset], noise, *kept)
     for index in range(onset + 1, len(clip)):
         if clip.track_start[index] != onset:
             break
@@ -204,4 +192,4 @@ def _pair(clip: PreparedClip, frame: int, motion: np.ndarray, settings: SampleSe
     direction = force_direction(clip.normal[frame], motion[frame], settings.geometry)
     press = Press.at(vertex, direction, held(mechanics.load_steps, mechanics.steps))
     moved = Observation.of_point(vertex, np.array([mechanics.seconds]), motion[frame : frame + 1], math.nan)
-    return Interaction(clip.mesh(frame), press, moved, mechanics.time_step)
+    return Interaction(clip.mesh(frame), press, {"point": moved}, mechanics.time_step)

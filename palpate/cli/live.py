@@ -105,6 +105,9 @@ class Live:
     """pictures hold both of a stereo pair, the left one first: with --depth stereo and a camera file with a baseline"""
     force_limit: Positive | None = option(None, metavar="X", needs=FRAME_FORCE)
     """limit of the force in the unit of the column force (docs/forces.md). Research software, not a medical device"""
+    alarm_at: Annotated[float, 0.5, 0.999] | None = option(None, metavar="P", needs=FRAME_FORCE)
+    """probability that the force is above --force-limit from which on there is an alarm (default: 0.9); it ends below
+    0.5"""
 
     @property
     def pixels(self) -> tuple[int, int] | None:
@@ -143,7 +146,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     alarm = None
     if options.force_limit is not None:
-        alarm = ForceAlarm(options.force_limit, UNITS["force"], estimator.force_seconds)
+        raised = options.alarm_at or ForceAlarm.raised
+        alarm = ForceAlarm(options.force_limit, UNITS["force"], estimator.force_seconds, raised)
     lines = JsonLines(source, server, alarm)
     try:
         with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:

@@ -10,8 +10,6 @@ from palpate.common.workers import WorkerLost
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-ANSWERS_WITHIN = 10
-"""A scheduler that is there answers in so much time [s]."""
 
 
 def run_distributed(function: Callable[[Task], Result], tasks: Sequence[Task], scheduler: str) -> Iterator[Result]:
@@ -31,7 +29,7 @@ def run_distributed(function: Callable[[Task], Result], tasks: Sequence[Task], s
     except ModuleNotFoundError as error:
         raise ValueError("--scheduler needs Dask; install 'palpate[distributed]'.") from error
     try:
-        client = Client(scheduler, timeout=ANSWERS_WITHIN, set_as_default=False)
+        client = Client(scheduler, timeout=10, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ValueError(f"no Dask scheduler answers at {scheduler}; start one with `dask scheduler`.") from error
     with client:

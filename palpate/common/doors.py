@@ -117,11 +117,8 @@ def by_interrupt(error: BaseException | None) -> bool:
 
 def plain(text: str) -> str:
     """Text on one line that does nothing to a terminal: control characters, as in file names, are shown as escapes."""
-    shown = text.encode("utf-8", "replace").decode()
-    return "".join(
-        letter if letter.isprintable() else " " if letter.isspace() else letter.encode("unicode_escape").decode()
-        for letter in shown
-    )
+    text = text.encode("utf-8", "replace").decode()
+    return "".join(x if x.isprintable() else " " if x.isspace() else x.encode("unicode_escape").decode() for x in text)
 
 
 def _quit_at_interrupt() -> None:

@@ -13,15 +13,12 @@ from typing import Any
 
 import yaml
 
-MOST_BYTES = 2**24
-"""Files that describe something are smaller; an hour's time stamps are."""
 
-
-def read_file(path: Path, most: int = MOST_BYTES) -> bytes:
+def read_file(path: Path, most: int = 2**24) -> bytes:
     """Content of a file.
 
     Args:
-        most: bytes; a larger file is not read.
+        most: bytes; a larger file is not read. Those that describe something are smaller, an hour's time stamps are.
 
     Raises:
         OSError: it can't be read, is larger, or is a pipe, which would be waited for, or a device, which has no end.

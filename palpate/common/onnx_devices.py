@@ -10,8 +10,6 @@ PROVIDERS = {"cuda": "CUDAExecutionProvider", "openvino": "OpenVINOExecutionProv
 AUTO = "auto"
 DEVICES = (AUTO, *reversed(PROVIDERS))
 """What `open_session` takes."""
-PACKAGES = {"cuda": "onnxruntime-gpu", "openvino": "onnxruntime-openvino", "cpu": "onnxruntime"}
-"""What to install for each device, in place of another of them."""
 
 
 class DeviceError(ValueError):
@@ -35,8 +33,9 @@ def open_session(model: str | bytes, threads: int, device: str) -> onnxruntime.I
         raise DeviceError(f"there is no device {device}; choose {', '.join(DEVICES)}.")
     installed = onnxruntime.get_available_providers()
     provider = PROVIDERS[device] if device != AUTO else next(name for name in PROVIDERS.values() if name in installed)
+    package = {"cuda": "onnxruntime-gpu", "openvino": "onnxruntime-openvino"}.get(device, "onnxruntime")
     if provider not in installed:
-        raise DeviceError(f"device {device} is not in this onnxruntime; install {PACKAGES[device]}, or choose auto.")
+        raise DeviceError(f"device {device} is not in this onnxruntime; install {package}, or choose auto.")
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # errors are reported once, by whoever opens the network
     # More threads than cores would wait for each other, busily.
@@ -46,7 +45,7 @@ def open_session(model: str | bytes, threads: int, device: str) -> onnxruntime.I
     options.use_deterministic_compute = True
     session = onnxruntime.InferenceSession(model, options, providers=[provider], enable_fallback=device == AUTO)
     if device != AUTO and provider_of(session) != provider:
-        raise DeviceError(f"device {device} fails here; install what {PACKAGES[device]} needs, or choose auto.")
+        raise DeviceError(f"device {device} fails here; install what {package} needs, or choose auto.")
     return session
 
 

@@ -54,6 +54,5 @@ def _belongs(name: str, part: Part) -> bool:
         return name.startswith("physics/")
     if part == "preparation":
         return name in PREPARATION or (name.startswith("data/") and not name.startswith(NOT_PREPARATION))
-    return name == MASKS or not name.startswith(
-        "models/weights/"
-    )  # an estimator's network is known by the hash of its own file
+    # An estimator's network is known by the hash of its own file.
+    return name == MASKS or not name.startswith("models/weights/")

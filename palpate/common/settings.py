@@ -7,14 +7,6 @@ import types
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-WORDS: dict[Any, str] = {
-    str: "text",
-    int: "a whole number",
-    float: "a number",
-    bool: "true or false",
-    types.NoneType: "null",
-    Ellipsis: "…",
-}
 LARGEST = 1e15
 """No number that a file gives is farther from 0."""
 
@@ -32,20 +24,21 @@ shown = _short.repr
 """A value from a file for a sentence, which it leaves short however long, deep or circular the value is."""
 
 
-MOST_LEVELS, MOST_VALUES = 16, 100_000
-"""Most levels of lists and mappings within each other, and of values in one of these levels."""
+def sound(value: Any, levels: int = 16, most: int = 100_000) -> bool:
+    """Whether a value read from a file is of a reasonable size, with names in it that stand for others written out.
 
-
-def sound(value: Any) -> bool:
-    """Whether a value read from a file is of a reasonable size, with names in it that stand for others written out."""
+    Args:
+        levels: of lists and mappings within each other.
+        most: values in one of these levels.
+    """
     row = [value]
-    for _ in range(MOST_LEVELS):
+    for _ in range(levels):
         if any(isinstance(each, (int, float)) and not abs(each) <= LARGEST for each in row):
             return False
         if any(isinstance(each, str) and "\0" in each for each in row):  # no name of a file
             return False
         held = (each.values() if isinstance(each, dict) else each for each in row if isinstance(each, (dict, list)))
-        row = list(itertools.islice(itertools.chain.from_iterable(held), MOST_VALUES))
+        row = list(itertools.islice(itertools.chain.from_iterable(held), most))
     return not row
 
 
@@ -87,7 +80,8 @@ def described(kind: Any) -> str:
         return "one of " + ", ".join(map(str, inner))
     if origin is tuple:
         return f"[{', '.join(map(described, inner))}]"
-    return WORDS.get(kind, "a mapping of names to values")
+    words = {str: "text", int: "a whole number", float: "a number", bool: "true or false", types.NoneType: "null"}
+    return "…" if kind is Ellipsis else words.get(kind, "a mapping of names to values")
 
 
 Positive = Annotated[float, 1e-15, LARGEST]

@@ -4,9 +4,6 @@ A YAML file (fields of `CalibrationFile`), a table of forces (columns time_s, fo
 forces in every bag.
 """
 
-from __future__ import annotations
-
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,21 +14,10 @@ from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.data.source.bags import read_wrenches
 from palpate.data.source.images import printable
 from palpate.data.source.layout import from_mapping, read_mapping
+from palpate.estimators import force_scale
 from palpate.estimators.estimate import NoEstimate
-from palpate.estimators.force_scale import (
-    SHEET_FACTOR,
-    ClipLength,
-    ForceScale,
-    PressedRun,
-    measured_presses,
-    scale_by_force,
-    scale_by_stiffness,
-)
 from palpate.estimators.known_force import LEAST_KNOWN, KnownForce, read_forces
 from palpate.estimators.palpated import palpated_young
-
-REFERENCES = ("force_N", "stiffness", "palpation")
-"""Fields of which one at most tells newtons."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +47,12 @@ class CalibrationFile(Checked):
     """Its standard deviation [m]."""
 
     def __post_init__(self) -> None:
-        given = [name for name in REFERENCES if getattr(self, name) is not None]
+        known = ("force_N", "stiffness", "palpation")
+        given = [name for name in known if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)} each tell newtons; give one.")
         if not given:
-            raise ValueError(f"nothing is known; give one of {', '.join(REFERENCES)}.")
+            raise ValueError(f"nothing is known; give one of {', '.join(known)}.")
         if (self.force_N is None) != (self.force_time_s is None):
             raise ValueError("force_N and force_time_s belong together; give both.")
         if (self.palpation is None) != (self.thickness_m is None):
@@ -92,7 +79,7 @@ class Calibration:
         """Whether the scale follows from a force that acted in one clip."""
         return self.fields is not None and self.fields.force_N is not None
 
-    def of_clip(self, clip: Path, pictures: str | None) -> Calibration:
+    def of_clip(self, clip: Path, pictures: str | None) -> "Calibration":
         """Return the calibration with the forces that the clip, a bag, holds; unchanged without a topic.
 
         Args:
@@ -106,43 +93,41 @@ class Calibration:
             return self
         return replace(self, measured=KnownForce(*read_wrenches(clip, str(self.path), pictures)))
 
-    def scale(self, runs: Sequence[PressedRun], length: ClipLength) -> ForceScale:
+    def scale(self, runs: Sequence[force_scale.PressedRun], length: force_scale.ClipLength) -> force_scale.ForceScale:
         """The scale of a clip from its own runs, or from the tissue's stiffness.
 
         Raises:
             NoEstimate: why there is none.
         """
         if self.measured is not None:
-            forces = measured_presses(runs, self.measured)
+            forces = force_scale.measured_presses(runs, self.measured)
             if not forces:
-                raise NoEstimate(
-                    f"No results in newtons: in no run of contact with an estimate {LEAST_KNOWN} or more forces "
-                    "are known."
-                )
+                problem = "No results in newtons: in no run of contact with an estimate"
+                raise NoEstimate(f"{problem} {LEAST_KNOWN} or more forces are known.")
             frames = ", ".join(str(frame) for frame, *_ in forces)
-            return scale_by_force(runs, forces, f"forces measured at frame {frames}")
+            return force_scale.scale_by_force(runs, forces, f"forces measured at frame {frames}")
         given = self.fields
         assert given is not None
         if given.force_N is not None and given.force_time_s is not None:
             at = np.array([given.force_time_s])
             here = [run for run in runs if run.pressing(at)[0]]
             if not here:
-                raise NoEstimate(
-                    f"No results in newtons: no press was estimated in contact at {given.force_time_s:g} s, when "
-                    "the force is known."
-                )
+                problem = f"No results in newtons: no press was estimated in contact at {given.force_time_s:g} s,"
+                raise NoEstimate(f"{problem} when the force is known.")
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
             source = f"known force of {given.force_N:g} N at frame {frame}"
-            return scale_by_force(runs, [(frame, given.force_N, log_sd)], source)
+            return force_scale.scale_by_force(runs, [(frame, given.force_N, log_sd)], source)
         if given.stiffness is not None:
             source = f"known stiffness of {given.stiffness:g} N/m"
-            return scale_by_stiffness(given.stiffness, given.stiffness_sd / given.stiffness, length, source)
+            log_sd = given.stiffness_sd / given.stiffness
+            return force_scale.scale_by_stiffness(given.stiffness, log_sd, length, source)
         if self.young is None or given.thickness_m is None:
             raise NoEstimate("Nothing that the file holds tells newtons.")
         young, young_sd = self.young
-        log_sd = math.hypot(young_sd, given.thickness_sd_m / given.thickness_m)
+        log_sd = float(np.hypot(young_sd, given.thickness_sd_m / given.thickness_m))
         source = f"palpation, E = {young:.4g} Pa, in a sheet of {1000 * given.thickness_m:g} mm"
-        return scale_by_stiffness(SHEET_FACTOR * young * given.thickness_m, log_sd, length, source)
+        stiffness = force_scale.SHEET_FACTOR * young * given.thickness_m
+        return force_scale.scale_by_stiffness(stiffness, log_sd, length, source)
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -6,9 +6,6 @@ from scipy.spatial import KDTree
 from palpate.data.source.layout import InputError
 from palpate.physics.mesh import Mesh, grid_mesh
 
-NEIGHBOURS, SPARSE = 16, 4.0
-"""Points of a cloud that tell the height of a place; over their usual distance, how near one must be."""
-
 
 def view_across(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
     """Pose of a cloud's frame for who looks along its mean normal, shape [4, 4], the same in whatever frame it is.
@@ -41,19 +38,23 @@ class CloudShape:
         InputError: there are too few points; so does `mesh`, and where some lie far off.
     """
 
+    neighbours = 16
+    """Points of a cloud that tell the height of a place."""
+
     def __init__(self, cloud: np.ndarray, what: str) -> None:
-        problem = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
-        self._cloud, self._sparse = cloud, InputError(problem)
-        if len(cloud) < NEIGHBOURS:
+        text = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
+        self._cloud, self._sparse = cloud, InputError(text)
+        if len(cloud) < self.neighbours:
             raise self._sparse
         self._tree = KDTree(cloud[:, :2])
-        self._apart = max(SPARSE * float(np.median(self._tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
+        # One must be so near, by their usual distance.
+        self._apart = max(4.0 * float(np.median(self._tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
         self.area = len(np.unique(np.floor(cloud[:, :2] / self._apart), axis=0)) * self._apart**2
         """Across the line of sight [m²]."""
 
     def heights(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Along z at places [..., 2] [m], shape [...] [m], and whether the cloud covers them, bool."""
-        away, near = self._tree.query(places, NEIGHBOURS)
+        away, near = self._tree.query(places, self.neighbours)
         middle = self._cloud[near, :2].mean(axis=-2)
         # How far the middle of these is away, over their mean distance, where a place lies outside of the cloud.
         beside = np.linalg.norm(middle - places, axis=-1) > 0.75 * away.mean(axis=-1)

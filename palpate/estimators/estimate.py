@@ -1,7 +1,6 @@
 """Parameters θ of a press: what an estimator says of them, and how well they are known."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -23,7 +22,6 @@ COMBINATIONS = {
 REPORTED = tuple(name for name in COMBINATIONS if name != "force_over_damping")
 """Those with numbers of their own; F/k_d follows from them, and only whether it is determined is said."""
 SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F|/k_d"), strict=True))
-BY_LIGHT = "by the shading of the tissue, for want of measured depth: lengths and forces are relative to its distance"
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ class PressResult:
     the tissue; so a sideways motion that the model can't explain is not determined."""
     largest_misfit: float = np.inf
     """Beyond it the model does not explain the motion."""
-    at_bound: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3, bool))
+    at_bound: np.ndarray = field(default_factory=lambda: np.zeros(3, bool))
     """Whether a parameter lies at its range's end, shape [3], bool."""
     expected_information: np.ndarray | None = None
     """Inverse of the expected Cramér–Rao bound, by which the verdict is given, shape [3, 3]; None = that of
@@ -138,7 +136,8 @@ class PressResult:
         """What verdict and numbers alone don't say."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
-        return BY_LIGHT if self.light else ""
+        light = "by the shading of the tissue, for want of measured depth: lengths and forces are relative"
+        return f"{light} to its distance" if self.light else ""
 
     @property
     def verdict_information(self) -> np.ndarray:
@@ -156,9 +155,8 @@ class PressResult:
         """Return the result with a covariance [3, 3] added to its own, and to that of its verdict."""
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
         expected = np.linalg.solve(np.eye(3) + self.verdict_information @ added, self.verdict_information)
-        return dataclasses.replace(
-            self, covariance=self.covariance + added, expected_information=(expected + expected.T) / 2
-        )
+        own = {"covariance": self.covariance + added, "expected_information": (expected + expected.T) / 2}
+        return replace(self, **own)
 
     def quantity(self, name: str) -> Quantity | None:
         """One of the COMBINATIONS; None where it is a ratio to a parameter that is 0."""

@@ -7,8 +7,6 @@ with one unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with no
 exactly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,7 +45,7 @@ class ClipLength:
     """By what `metres` is known, or why it isn't where that is worth saying."""
 
     @classmethod
-    def of(cls, clip: ClipStream) -> ClipLength:
+    def of(cls, clip: ClipStream) -> "ClipLength":
         """Return the length as the clip itself tells it.
 
         Raises:
@@ -56,8 +54,8 @@ class ClipLength:
         metres, log_sd, by = clip.metres or (None, 0.0, "")
         unit = None if metres is None else clip.scale * metres
         if unit is not None and clip.sources["depth"] == "stored" and not NEAREST <= unit <= FARTHEST:
-            problem = f"by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres."
-            raise InputError(f"{clip.source.path}: {problem}")
+            text = f"by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres."
+            raise InputError(f"{clip.source.path}: {text}")
         return cls(clip.scale, unit, log_sd, by)
 
     @property
@@ -90,7 +88,7 @@ class PressedRun:
     """Whether the model explains the motion."""
 
     @classmethod
-    def of(cls, run: InteractionEstimate) -> PressedRun | None:
+    def of(cls, run: InteractionEstimate) -> "PressedRun | None":
         """Summarise a run; None where it has no estimate, or a parameter is zero."""
         found, contact = run.estimate, run.interaction
         if found is None or contact is None or not np.all(found.theta):
@@ -120,7 +118,7 @@ class ForceScale:
     used: dict[int, float]
     """Weight in g of every run of this clip that determined it, by the number of its first frame."""
 
-    def of(self, run: PressedRun, length: ClipLength) -> Physical:
+    def of(self, run: PressedRun, length: ClipLength) -> "Physical":
         """A run in physical units."""
         to_physical = np.eye(3) + EXPONENTS[self.homogeneous]
         metric = length.metres is not None
@@ -238,8 +236,6 @@ def scale_by_stiffness(value: float, log_sd: float, length: ClipLength, source: 
         NoEstimate: the length of a scene unit isn't known.
     """
     if length.metres is None:
-        raise NoEstimate(
-            "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't; "
-            "give metres_per_depth in the camera file, or --shaft-diameter."
-        )
+        problem = "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't;"
+        raise NoEstimate(f"{problem} give metres_per_depth in the camera file, or --shaft-diameter.")
     return ForceScale(math.log(value * length.metres), log_sd**2, STIFFNESS, source, {})

@@ -13,7 +13,6 @@ import numpy as np
 from palpate.data.source.table import read_series
 from palpate.estimators.estimate import NoEstimate
 
-COLUMNS = ("time_s", "force_N")
 LEAST_KNOWN = 3
 """Fewest frames of known force that determine the factor."""
 
@@ -33,12 +32,12 @@ class KnownForce:
 
 
 def read_forces(path: Path) -> KnownForce:
-    """Read a table of forces with the columns COLUMNS.
+    """Read a table of forces with the columns time_s and force_N.
 
     Raises:
         InputError: the table can't be read, is too short, its times don't rise, or a value is no number.
     """
-    return KnownForce(*read_series(path, COLUMNS, "table of forces", LEAST_KNOWN).T)
+    return KnownForce(*read_series(path, ("time_s", "force_N"), "table of forces", LEAST_KNOWN).T)
 
 
 def fit_factor(signal: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
@@ -72,9 +71,8 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
     """
     some = np.isfinite(known)
     if some.sum() < LEAST_KNOWN or not signal[some].any():
-        raise NoEstimate(
-            f"The force is known in {int(some.sum())} frames that move; {LEAST_KNOWN} are needed for the other frames."
-        )
+        problem = f"The force is known in {int(some.sum())} frames that move;"
+        raise NoEstimate(f"{problem} {LEAST_KNOWN} are needed for the other frames.")
     factor, variance, residual = fit_factor(signal[some], known[some])
     sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
     return factor * signal, sd

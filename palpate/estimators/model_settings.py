@@ -1,8 +1,7 @@
 """Preparation settings from an exported network's metadata."""
 
-import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -22,8 +21,6 @@ from palpate.physics.mechanics import Bounds, Mechanics
 
 Settings = TypeVar("Settings")
 Model = TypeVar("Model", bound=ExportedModel)
-RETIRED = {"mechanics.damping": "implicit", "mechanics.boundary": "fixed", "mechanics.anchor": 0.0}
-"""Settings of earlier versions, each with the one value that the program still supports and files may state."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSe
         _require_file(model, "masks", masks)
     settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
     settings |= {
-        "depth": dataclasses.replace(depth, **wanted),
+        "depth": replace(depth, **wanted),
         "geometry": section(model, "geometry", GeometrySettings),
         "masks": masks,
         "classes": section(model, "classes", MaskClasses),
@@ -110,9 +107,8 @@ def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSe
 def _require_file(model: ExportedModel, option: str, name: str) -> None:
     """Raise a ModelFileError unless the model file that the metadata names, without its folder, exists here."""
     if name.endswith(".onnx") and not isfile(Path(name)):
-        raise ModelFileError(
-            f"{model.path} was trained with {option} from {name}; give that file's path as --{option}."
-        )
+        problem = f"{model.path} was trained with {option} from {name};"
+        raise ModelFileError(f"{problem} give that file's path as --{option}.")
 
 
 def check_sources(settings: PrepareSettings) -> None:
@@ -137,7 +133,9 @@ def section(model: ExportedModel, name: str, kind: type[Settings], values: Mappi
         ModelFileError: a field is unknown, or its value is impossible.
     """
     values = model.metadata.get(name, {}) if values is None else values
-    values = {key: value for key, value in values.items() if (f"{name}.{key}", value) not in RETIRED.items()}
+    # Settings of earlier versions, each with the one value that the program still supports and files may state.
+    retired = {"mechanics.damping": "implicit", "mechanics.boundary": "fixed", "mechanics.anchor": 0.0}.items()
+    values = {key: value for key, value in values.items() if (f"{name}.{key}", value) not in retired}
     try:
         return from_mapping(kind, values, f"{model.path}, '{name}' of its metadata,")
     except (TypeError, InputError) as error:

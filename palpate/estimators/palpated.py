@@ -23,9 +23,7 @@ def palpated_young(path: Path) -> tuple[float, float]:
         raise InputError(f"{printable(path)} says that nothing is determined; press harder and give that file.")
     names = ("young_pa", "young_low_pa", "young_high_pa")
     if not all(fits(values.get(name), float) and values[name] > 0 for name in names):
-        raise InputError(
-            f"{printable(path)} holds no E with an interval ({', '.join(names)}); give calibration.json of "
-            "palpate calibrate palpation."
-        )
+        problem = f"{printable(path)} holds no E with an interval ({', '.join(names)});"
+        raise InputError(f"{problem} give calibration.json of palpate calibrate palpation.")
     young, low, high = (float(values[name]) for name in names)
     return young, abs(math.log(high / low)) / (2 * NINETY)

@@ -4,9 +4,8 @@ A column is declared once, where its value is: `skill: float = column("1 - error
 that class, with this text in run.json.
 """
 
-import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, get_type_hints
 
@@ -57,9 +56,8 @@ class Quantity:
         """Cells by the ending of their column."""
         if self.log_sd is None:
             return {"": self.value}
-        return {"": self.value, "_sd": float(self.sd)} | {
-            end: float(self.end(side)) for end, side in ENDS.items() if side
-        }
+        ends = {end: float(self.end(side)) for end, side in ENDS.items() if side}
+        return {"": self.value, "_sd": float(self.sd), **ends}
 
 
 class Result(Protocol):
@@ -78,7 +76,7 @@ class Result(Protocol):
         """What verdict and numbers alone don't say, a sentence."""
 
 
-def column(text: str = "", default: Any = dataclasses.MISSING, **options: Any) -> Any:
+def column(text: str = "", default: Any = MISSING, **options: Any) -> Any:
     """Field of a dataclass that is a column of its tables; it may hold a `Quantity`, which has a column for each part.
 
     Args:
@@ -86,18 +84,18 @@ def column(text: str = "", default: Any = dataclasses.MISSING, **options: Any) -
         default: of the field; without one it must be given.
         options: of `dataclasses.field`.
     """
-    return dataclasses.field(default=default, metadata={"column": text}, **options)
+    return field(default=default, metadata={"column": text}, **options)
 
 
 def group(kind: type[Any], default: Any = None, **options: Any) -> Any:
     """Field that holds a dataclass of this kind, or an object whose `numbers` is one: its columns stand here."""
-    return dataclasses.field(default=default, metadata={"group": kind}, **options)
+    return field(default=default, metadata={"group": kind}, **options)
 
 
 def columns_of(kind: type[Any]) -> dict[str, str]:
     """Columns of a dataclass, in order, each with what it is."""
     found, texts, kinds = dict[str, str](), field_texts(kind), get_type_hints(kind)
-    for item in dataclasses.fields(kind):
+    for item in fields(kind):
         if "group" in item.metadata:
             found |= columns_of(item.metadata["group"])
         elif "column" in item.metadata:
@@ -113,7 +111,7 @@ def columns_of(kind: type[Any]) -> dict[str, str]:
 def values_of(row: Any) -> dict[str, Any]:
     """Values of a dataclass by column; what isn't known is left out."""
     found: dict[str, Any] = {}
-    for item in dataclasses.fields(row):
+    for item in fields(row):
         value = getattr(row, item.name)
         if value is None:
             continue
@@ -146,7 +144,7 @@ class Table:
 
     def without(self, *names: str) -> Self:
         """Table without some columns."""
-        return dataclasses.replace(self, left_out=names)
+        return replace(self, left_out=names)
 
     def known(self, *rows: Any) -> dict[str, Any]:
         """Values of a row, dataclasses or mappings, by column, without those that are missing."""

@@ -5,14 +5,15 @@ import dataclasses
 import math
 import time
 from collections import defaultdict, deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future
+from functools import cache, partial
 
 import numpy as np
 
 from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import FrameGeometry
-from palpate.data.contact.interaction import ContactFrame, Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import Horizon, Interaction, InteractionBuilder
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
 from palpate.data.shading.light import log_light
@@ -22,14 +23,17 @@ from palpate.estimators.direct.shading_fit import MECHANICS, fit_shading
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import FrameEstimate, InteractionEstimate, Touch
+from palpate.observations.kinds import OBSERVATIONS
 from palpate.physics.mechanics import Bounds, Mechanics
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
 UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
 PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
-NOT_SHOWN = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
+
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
+RECORDED = ("depth", "shading")
+"""Observations that are recorded of every run where they can be."""
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 
@@ -37,7 +41,12 @@ class Run:
     """One run of contact; its frames are dropped as they pass, and only their observations are kept."""
 
     def __init__(
-        self, first: PreparedFrame, clip: ClipInfo, seconds: float, rest_light: RestingLight | None = None
+        self,
+        first: PreparedFrame,
+        clip: ClipInfo,
+        seconds: float,
+        rest_light: RestingLight | None = None,
+        observations: Sequence[str] = RECORDED,
     ) -> None:
         frame = first.frame
         self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
@@ -60,8 +69,9 @@ class Run:
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
             found = contact.mesh, contact.vertex, contact.normal, contact.noise
-            first_seen = contact_frame(first)
-            self.builder = InteractionBuilder(*found, first_seen, clip.geometry, seconds, clip.size, rest_light)
+            begun = {name: OBSERVATIONS[name].recorder(first, clip.size, rest_light) for name in observations}
+            recorders = {name: recorder for name, recorder in begun.items() if recorder is not None}
+            self.builder = InteractionBuilder(*found, first, clip.geometry, seconds, recorders)
 
     def note(self, current: PreparedFrame) -> None:
         """Take in the contact probability of a frame within the run or right after it."""
@@ -79,7 +89,7 @@ class Run:
         if current.in_contact:
             self.last = current.frame.index
         if self.builder is not None:
-            self.builder.add(contact_frame(current))
+            self.builder.add(current)
 
     def estimate(self, **results) -> InteractionEstimate:
         """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
@@ -103,10 +113,11 @@ class RunTracker:
     Args:
         clip: the clip.
         seconds: longest motion of a run that counts, from its onset [s].
+        observations: names of those that are recorded.
     """
 
-    def __init__(self, clip: ClipInfo, seconds: float) -> None:
-        self._clip, self._seconds = clip, seconds
+    def __init__(self, clip: ClipInfo, seconds: float, observations: Sequence[str] = RECORDED) -> None:
+        self._clip, self._seconds, self._observations = clip, seconds, observations
         self._light, self._reference = RestingLight(), 0
         """Light at rest, and the number of the picture in whose view it is."""
         self.current: Run | None = None
@@ -118,8 +129,8 @@ class RunTracker:
             self._reference = frame.light_view.reference
             self._light.clear()
         ended = self._push(frame)
-        if self.current is None and frame.light is not None:
-            self._light.push(frame.light)
+        if self.current is None and frame.make_light is not None:
+            self._light.push(frame.make_light)
         return ended
 
     def _push(self, frame: PreparedFrame) -> Run | None:
@@ -134,7 +145,8 @@ class RunTracker:
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
                 return None  # the gap may be flicker
         rest = self._light if len(self._light) else None
-        self.current = Run(frame, self._clip, self._seconds, rest) if frame.in_contact else None
+        what = self._clip, self._seconds, rest, self._observations
+        self.current = Run(frame, *what) if frame.in_contact else None
         return run
 
     def _belongs(self, frame: PreparedFrame, run: Run) -> bool:
@@ -156,9 +168,12 @@ class RunSession:
         clip: the clip.
         mechanics: constants of the estimator's simulator.
         horizon: how much of a whole contact counts.
+        observations: names of those that are recorded of it.
     """
 
-    def __init__(self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None) -> None:
+    def __init__(
+        self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, observations: Sequence[str] = RECORDED
+    ) -> None:
         self.clip, self.horizon = clip, horizon
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
@@ -173,7 +188,7 @@ class RunSession:
         self.fitter: Executor | None = None
         """Executor of the fits by shading, for live sources; None = later frames wait for them."""
         self._fits: deque[Future[InteractionEstimate]] = deque()
-        self._runs = RunTracker(clip, self.mechanics.seconds)
+        self._runs = RunTracker(clip, self.mechanics.seconds, observations)
         self._grip: GripRecorder | None = None
 
     @contextlib.contextmanager
@@ -192,26 +207,23 @@ class RunSession:
 
     def _pushed(self, frame: PreparedFrame) -> Run | None:
         """Pass the next frame to the clip's runs; returns the one that has ended before it, or None."""
-        if self.needs_light and frame.visible and frame.light is None:
-            light = log_light(*frame.view, frame.depth.shape)
+        if self.needs_light and frame.visible and frame.make_light is None:
+            shown = frame.shown.picture, frame.shown.labels
             # The frame itself stays as it is: others may look at it.
-            frame = dataclasses.replace(frame, light=light)
+            frame = dataclasses.replace(frame, make_light=cache(partial(log_light, *shown, frame.depth.shape)))
         return self._runs.push(frame)
 
     def _follow(self, frame: PreparedFrame) -> None:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
         with self.timed("follow"):
-            if run is None or not self._follows(run):
+            # A run without an onset has no other observation.
+            if run is None or not (run.builder is None or (self.by_light and run.lit)):
                 self._grip = None
             elif run.index == frame.frame.index:
                 self._grip = GripRecorder(frame) if frame.visible else None
             elif self._grip is not None and frame.frame.index - run.last <= self.clip.bridge_frames:
                 self._grip.add(frame)
-
-    def _follows(self, run: Run) -> bool:
-        """Whether the motion around the instrument may be needed: a run without an onset has no other observation."""
-        return run.builder is None or (self.by_light and run.lit)
 
     def _ended(self, run: Run | None) -> Iterator[InteractionEstimate]:
         """Yield the record of a run that has ended, once it is fitted."""
@@ -242,7 +254,7 @@ class RunSession:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
-                    contact, found, simulated = self._lit(contact)
+                    contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
                 doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
@@ -251,14 +263,6 @@ class RunSession:
         detail = f"{run.detail} {doubts}".strip()
         results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
         return run.estimate(**results, detail=detail)
-
-    def _lit(self, contact: Interaction) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
-        """Return the estimate of a whole contact by its light (see `fit_shading`).
-
-        Raises:
-            NoEstimate: the contact can't be estimated.
-        """
-        return fit_shading(contact, 1 / self.clip.fps)
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
@@ -285,22 +289,6 @@ class RunSession:
         raise NotImplementedError
 
 
-def contact_frame(frame: PreparedFrame) -> ContactFrame:
-    """The part of a prepared frame that its run of contact keeps."""
-    return ContactFrame(
-        frame.frame.time_s,
-        frame.in_contact,
-        frame.out_of_contact,
-        frame.consecutive,
-        frame.track_position,
-        frame.depth,
-        frame.labels,
-        frame.light,
-        frame.light_view,
-        len(frame.skipped),
-    )
-
-
 def frame_estimate(
     prepared: PreparedFrame,
     clip: ClipInfo,
@@ -324,14 +312,14 @@ def frame_estimate(
         whole: whether the doubts already say why no displacement is shown.
         arrow: tail and tip of the drawn force, shape [2, 2] [px].
     """
-    frame, contact = prepared.frame, prepared.geometry
-    outlines = ""
+    frame, contact, outlines, u, v = prepared.frame, prepared.geometry, "", None, None
     if contact is not None and prepared.track_start < 0 and prepared.contact_probability < CERTAIN:
         outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
-    missing = NOT_SHOWN if contact is not None and lengths[0] is None and not whole else ""
-    u, v = None, None
+    unseen = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
+    missing = unseen if contact is not None and lengths[0] is None and not whole else ""
     if contact is not None:
         u, v = grid_to_picture(np.array(contact.pixel), prepared.depth.shape, clip.size).tolist()
+    judged = finite(prepared.contact_probability), finite(prepared.distance)
     return FrameEstimate(
         frame.number,
         frame.time_s,
@@ -340,9 +328,7 @@ def frame_estimate(
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
         contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
-        touch=Touch(
-            finite(prepared.contact_probability), finite(prepared.distance), u, v, prepared.instrument, *lengths, arrow
-        ),
+        touch=Touch(*judged, u, v, prepared.instrument, *lengths, arrow),
     )
 
 

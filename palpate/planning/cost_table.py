@@ -29,8 +29,6 @@ ANGLES = np.radians(np.arange(-60.0, 61.0, 15.0))
 LENGTHS = 41
 WIDTH = 0.5
 """h of equation 4, over the spacing of places and of angles."""
-VERSION = 3
-"""Version of what is in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +102,8 @@ def _key(place: np.ndarray, angle: float) -> tuple[float, ...]:
 
 def digest(kind: SoftObject, radius: float) -> str:
     """Return a digest of all that a table depends on."""
-    constants = [VERSION, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE]
+    version = 3  # of what is in a file
+    constants = [version, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE]
     return digest_of([*constants, radius, asdict(kind)])[:16]
 
 
@@ -169,7 +168,5 @@ def open_tables(
     Raises:
         ForeignFile: see `open_table`.
     """
-    return {
-        name: open_table(kind, scene.tip_radius, cache, functools.partial(report, name))[0]
-        for name, kind in scene.objects.items()
-    }
+    kinds = [(name, kind, functools.partial(report, name)) for name, kind in scene.objects.items()]
+    return {name: open_table(kind, scene.tip_radius, cache, made)[0] for name, kind, made in kinds}

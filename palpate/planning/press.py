@@ -12,11 +12,12 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from palpate.planning.scene import SoftObject
 
 if TYPE_CHECKING:
-    from palpate.estimators.palpation import Skin
+    from palpate.estimators.palpation.skin import Skin
 
 MOST_FORCE = 20.0
 """[N]."""
@@ -43,7 +44,7 @@ class PressCurve:
 @lru_cache(maxsize=8)
 def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:
     """A block's skin, fine enough for a patch of that radius, in its own frame, and what of it is held [N, 3]."""
-    from palpate.estimators.palpation import cover  # takes a second, and cached presses need none of it
+    from palpate.estimators.palpation.skin import cover  # takes a second, and cached presses need none of it
     from palpate.physics.fem import box, make_solid
 
     width, thickness, height = kind.size
@@ -78,9 +79,8 @@ def simulate_press(kind: SoftObject, radius: float, place: np.ndarray, angle: fl
     way = np.array([np.cos(angle), np.sin(angle), 0.0])
     unit = skin.pressed(np.array([*place, kind.height]), radius, way)
     material = Material("corotational", kind.young, kind.poisson)
-    lengths, forces, work = [0.0], [0.0], [0.0]
-    rest = find_equilibrium(skin.body, material, held)
-    shortest, share = 1 / 2, 1.0
+    lengths, forces = [0.0], [0.0]
+    rest, share = find_equilibrium(skin.body, material, held), 1.0
     while lengths[-1] < kind.longest and forces[-1] < MOST_FORCE:
         slope = rest.moved_by(unit[..., None])[..., 0]
         compliance = float((unit * slope).sum())
@@ -91,21 +91,17 @@ def simulate_press(kind: SoftObject, radius: float, place: np.ndarray, angle: fl
             start = rest.displacement + gained * slope
             found = find_equilibrium(skin.body, material, held, forces=(forces[-1] + gained) * unit, start=start)
         except NoEquilibrium:
-            share /= 2
-            if share < shortest:
+            if (share := share / 2) < 1 / 2:
                 break
             continue
-        rest = found
-        moved = float((unit * rest.displacement).sum())
+        rest, moved = found, float((unit * found.displacement).sum())
         if moved <= lengths[-1]:
             break
-        work.append(work[-1] + (forces[-1] + gained / 2) * (moved - lengths[-1]))
         lengths.append(moved)
         forces.append(forces[-1] + gained)
     if lengths[-1] < kind.longest and len(lengths) > 1 and forces[-1] < MOST_FORCE:
         stiffness = (forces[-1] - forces[-2]) / (lengths[-1] - lengths[-2])
         left = min(kind.longest - lengths[-1], (MOST_FORCE - forces[-1]) / stiffness)
-        work.append(work[-1] + (forces[-1] + stiffness * left / 2) * left)
         lengths.append(lengths[-1] + left)
         forces.append(forces[-1] + stiffness * left)
-    return PressCurve(np.array(lengths), np.array(forces), np.array(work))
+    return PressCurve(np.array(lengths), np.array(forces), cumulative_trapezoid(forces, lengths, initial=0))

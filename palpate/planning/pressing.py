@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
+from scipy.integrate import cumulative_trapezoid
 
 from palpate.physics.identifiability import NINETY
 from palpate.planning.press import simulate_press
@@ -21,8 +22,6 @@ RADIUS = 0.01
 """Radius of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
-AT_ONCE = 50_000
-"""Places of the tip whose loads are found at once."""
 SHAPE_SD, WORK_SD = 0.45, 0.56
 """Standard deviations of the logarithm of forces, and of work: how far bodies of other shapes are from the block
 (docs/forces.md)."""
@@ -34,8 +33,7 @@ def unit_press(poisson: float) -> np.ndarray:
     # So many that the energy, which is interpolated as the force is, is off by little.
     depth = np.linspace(0, found.lengths[-1], 81) / RADIUS
     force = np.interp(depth, found.lengths / RADIUS, found.force) / (BLOCK.young * RADIUS**2)
-    work = np.append(0.0, np.cumsum(np.diff(depth) * (force[1:] + force[:-1]) / 2))
-    return np.stack([depth, force, work])
+    return np.stack([depth, force, cumulative_trapezoid(force, depth, initial=0)])
 
 
 class PressingCosts:
@@ -67,7 +65,7 @@ class PressingCosts:
         """
         depths, forces, energies = self.known["press"] * self.radius ** np.array([[1], [2], [3]])
         found = []
-        for some in np.split(tips, range(AT_ONCE, len(tips), AT_ONCE)):
+        for some in np.split(tips, range(50_000, len(tips), 50_000)):  # so many at once
             away = self.port - some
             length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
             away = np.where(away == 0, 1e-12, away) / length

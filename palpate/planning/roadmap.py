@@ -18,7 +18,6 @@ from scipy.spatial import KDTree
 from palpate.planning.cost_table import CostTable
 from palpate.planning.scene import PlanScene
 
-NODES, NEIGHBOURS = 300, 10
 MILLI = 1000.0
 DIGITS = 9
 """To which the deformation by a line is rounded [mJ], so that errors of rounding in the table decide no tie."""
@@ -96,11 +95,12 @@ def weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarra
     return np.where(open_ways, alpha * np.where(open_ways, deformation, 0) + (1 - alpha) * way, np.inf)
 
 
-def find_plan(costs: EdgeCosts) -> Plan:
+def find_plan(costs: EdgeCosts, nodes: int = 300) -> Plan:
     """The cheapest way found, of equally cheap ones the shortest.
 
     Args:
         costs: of the scene's lines.
+        nodes: of the road map, each with lines to the ten nearest.
 
     Raises:
         Blocked: start or goal lie in tissue or an obstacle or outside, or no line leads there.
@@ -118,9 +118,9 @@ def find_plan(costs: EdgeCosts) -> Plan:
     for name, place in zip(("start", "goal"), ends, strict=True):
         if not is_free(place[None])[0]:
             raise Blocked(f"the {name} {place.tolist()} is blocked: the tip would touch something there; move it.")
-    drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (4 * NODES, 2))
-    places = np.concatenate([ends, drawn[is_free(drawn)][:NODES]])
-    pairs = np.unique(np.concatenate([neighbours(places, NEIGHBOURS), [[0, 1]]]), axis=0)
+    drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (4 * nodes, 2))
+    places = np.concatenate([ends, drawn[is_free(drawn)][:nodes]])
+    pairs = np.unique(np.concatenate([neighbours(places, 10), [[0, 1]]]), axis=0)
     plan = cheapest_way(costs, places, pairs, costs.deformation(*places[pairs.T]))
     if plan is None:
         raise Blocked("the goal can't be reached: obstacles close every way to it; move it or open one.")

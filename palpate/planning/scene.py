@@ -20,10 +20,6 @@ from palpate.estimators.palpated import YOUNG, palpated_young
 Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
-SIZES = (1e-4, 10.0)
-"""Sizes of a block of tissue [m]."""
-MOST_CELLS = 4000
-"""Most cells of its mesh, all together; ten times less is the default."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +43,13 @@ class SoftObject(Checked):
     """Number of cells of the mesh along width, thickness and height, of quadratic elements."""
 
     def __post_init__(self) -> None:
-        if not all(SIZES[0] <= size <= SIZES[1] for size in self.size):
-            raise ValueError(f"size is to be {SIZES[0]:g} to {SIZES[1]:g} m.")
+        if not all(1e-4 <= size <= 10 for size in self.size):
+            raise ValueError("size is to be 0.0001 to 10 m.")
         super().__post_init__()
         if not self.held:
             raise ValueError("held is empty; name one side at least.")
-        if min(self.cells) < 1 or math.prod(self.cells) > MOST_CELLS:
-            raise ValueError(f"cells are to be positive, and their product {MOST_CELLS} at most.")
+        if min(self.cells) < 1 or math.prod(self.cells) > 4000:
+            raise ValueError("cells are to be positive, and their product 4000 at most.")
 
     @property
     def height(self) -> float:
@@ -98,7 +94,7 @@ class Placed:
         beyond = np.abs(self.inside_frame(points)) - self.half
         return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
 
-    def met(self, starts: np.ndarray, ends: np.ndarray, radius: float) -> np.ndarray:
+    def met(self, starts: np.ndarray, ends: np.ndarray, radius: float, close: float = 1e-5) -> np.ndarray:
         """How far a disc goes on straight lines until it touches, shape [K] [m]; infinite where it never does.
 
         Steps of the distance that is left (sphere tracing, Hart 1996).
@@ -106,17 +102,18 @@ class Placed:
         Args:
             starts, ends: of the lines, shape [K, 2] [m].
             radius: of the disc [m].
+            close: distance that counts as contact [m].
         """
         lengths = np.linalg.norm(ends - starts, axis=1)
         ways = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
-        travelled, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
+        way, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
         open_lines = np.arange(len(starts))
         for _ in range(400):
-            left = self.clearance(starts[open_lines] + travelled[open_lines, None] * ways[open_lines]) - radius
-            there = left < TOUCH
-            touched[open_lines[there]] = travelled[open_lines[there]]
-            travelled[open_lines] += np.maximum(left, TOUCH)
-            open_lines = open_lines[~there & (travelled[open_lines] <= lengths[open_lines])]
+            left = self.clearance(starts[open_lines] + way[open_lines, None] * ways[open_lines]) - radius
+            there = left < close
+            touched[open_lines[there]] = way[open_lines[there]]
+            way[open_lines] += np.maximum(left, close)
+            open_lines = open_lines[~there & (way[open_lines] <= lengths[open_lines])]
             if not len(open_lines):
                 break
         return touched
@@ -125,10 +122,6 @@ class Placed:
     def _axes(self) -> np.ndarray:
         turn = np.radians(self.degrees)
         return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-
-
-TOUCH = 1e-5
-"""Distance that counts as contact [m]."""
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,6 @@ from palpate.planning.surface import measure
 
 NODES, NEIGHBOURS, JOINED = 3000, 12, 40
 """Places, lines from each, and lines from start and from goal."""
-MOVES, FIRST, FINEST = 16, 4.0, 0.25
-"""Places tried instead of one of the way's, and how far from it about, at first and at last, over the radius."""
-VERSION = 2
-"""Version of what is in a file."""
-FAR = 1.0
-"""From the body [m]; points farther off are taken for another unit."""
 
 
 def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
@@ -39,21 +33,22 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
         OSError: the mesh or the folder can't be read or written.
     """
     fields = scene.unit, scene.port, scene.tip_radius, scene.poisson
-    key = digest_of([VERSION, code_digest("kernels"), file_sha256(Path(scene.mesh)), fields])
+    version = 2  # of what is in a file
+    key = digest_of([version, code_digest("kernels"), file_sha256(Path(scene.mesh)), fields])
     path = cache / f"space-{key[:16]}.npz"
     known, found = kept(path, lambda: _made(scene))
     costs = PressingCosts(scene, known)
     for name in ("start", "goal", "port"):
         place = getattr(costs, name)
-        label = f"{name} {place.tolist()}"
-        if np.linalg.norm(place - np.clip(place, *costs.corners)) > FAR:
-            raise InputError(f"{label} lies over {FAR:g} m from {scene.mesh}; give it in metres.")
+        text = f"{name} {place.tolist()}"
+        if np.linalg.norm(place - np.clip(place, *costs.corners)) > 1.0:
+            raise InputError(f"{text} lies over 1 m from {scene.mesh}; give it in metres.")
         if name != "goal" and costs.distance(place[None])[0] < 0:
-            raise Blocked(f"{label} lies inside the tissue; move it out.")
+            raise Blocked(f"{text} lies inside the tissue; move it out.")
         if name != "port" and not np.isfinite(costs.loads(place[None])[0])[0]:
-            raise Blocked(f"at the {label} tip or shaft would go through the tissue; move it or the port.")
+            raise Blocked(f"at the {text} tip or shaft would go through the tissue; move it or the port.")
         if name != "port" and not np.isfinite(costs.price(place[None], place[None]))[0]:
-            raise Blocked(f"at the {label} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
+            raise Blocked(f"at the {text} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
     return costs, found
 
 
@@ -81,10 +76,11 @@ def _moved(costs: PressingCosts, places: np.ndarray) -> np.ndarray:
     draws = np.random.default_rng(0)
     halved = np.linspace(0, len(places) - 1, 2 * len(places) - 1)
     way = np.stack([np.interp(halved, np.arange(len(places)), each) for each in places.T], axis=1)
-    reach = FIRST * costs.radius
-    while reach > FINEST * costs.radius:
+    # In place of each of the way's places 16 are tried, about 4 radii from it at first and a quarter at last.
+    reach = 4.0 * costs.radius
+    while reach > 0.25 * costs.radius:
         for i in range(1, len(way) - 1):
-            tried = np.concatenate([way[i : i + 1], way[i] + reach * draws.normal(size=(MOVES, 3))])
+            tried = np.concatenate([way[i : i + 1], way[i] + reach * draws.normal(size=(16, 3))])
             ends = np.concatenate([np.broadcast_to(way[j], tried.shape) for j in (i - 1, i + 1)])
             way[i] = tried[costs.price(np.tile(tried, (2, 1)), ends).reshape(2, -1).sum(axis=0).argmin()]
         reach /= 2**0.5

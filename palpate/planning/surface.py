@@ -12,9 +12,27 @@ from scipy.spatial import KDTree
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-SIZES = (2e-3, 2.0)
-"""Longest side of a body [m]."""
+
+def _read(path: Path, unit: str) -> Any:
+    """A mesh of trimesh, in metres; raises as `measure`."""
+    import trimesh
+
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # readers chat
+            mesh = trimesh.load_mesh(path)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
+        size = float(mesh.extents.max())
+    except Exception as error:  # each format's reader raises its own
+        problem = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
+        raise InputError(f"{printable(path)} {problem}") from error
+    units = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+    # Longest sides of bodies, 2 mm to 2 m.
+    likely = [each for each, metres in units.items() if 2e-3 <= size * metres <= 2.0]
+    if unit not in likely:
+        problem = f"is {size * units[unit]:.3g} m long in unit {unit}"
+        raise InputError(f"{printable(path)} {problem}; give `unit: {' or '.join(likely) or 'm'}`.")
+    return mesh.apply_scale(units[unit])
 
 
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
@@ -28,7 +46,7 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
 
     Args:
         path: of the surface, whose lengths are in `unit`.
-        unit: one of `UNITS`.
+        unit: m, cm or mm.
         radius: of the tip [m].
 
     Returns:
@@ -40,24 +58,12 @@ def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     """
     import trimesh  # takes a second, and is needed the first time alone
 
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # readers chat
-            mesh = trimesh.load_mesh(path)
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
-        size = float(mesh.apply_scale(UNITS[unit]).extents.max())
-    except Exception as error:  # each format's reader raises its own
-        problem = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
-        raise InputError(f"{printable(path)} {problem}") from error
-    if not SIZES[0] <= size <= SIZES[1]:
-        metres = {each: size / UNITS[unit] * scale for each, scale in UNITS.items()}
-        likely = " or ".join(each for each, length in metres.items() if SIZES[0] <= length <= SIZES[1])
-        raise InputError(f"{printable(path)} is {size:.3g} m long in unit {unit}; give `unit: {likely or 'm'}`.")
+    mesh = _read(path, unit)
     low, high = mesh.bounds[0] - 2 * radius, mesh.bounds[1] + 2 * radius
     step = max(radius / 3, float((np.prod(high - low) / 2_000_000) ** (1 / 3)))
     if step > 1.5 * radius:
-        problem = f"is {size:.3g} m long, too large beside a tip of {radius:g} m; cut out the part that it works in."
-        raise InputError(f"{printable(path)} {problem}")
+        problem = f"is {mesh.extents.max():.3g} m long, too large beside a tip of {radius:g} m"
+        raise InputError(f"{printable(path)} {problem}; cut out the part that it works in.")
     fine = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, step, max_iter=20))
     places, normals = fine.triangles_center, fine.face_normals
 

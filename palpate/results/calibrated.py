@@ -98,8 +98,8 @@ class ClipCalibration:
             self.rows.append(values)
         self.reason = "" if self._pulled else self._unknown_pull or self.reason
 
-    def upper_force(self, found: PressResult) -> float | None:
-        """Upper end of the 90 % interval of a frame's force [N]; None where that isn't determined.
+    def known_force(self, found: PressResult) -> Quantity | None:
+        """Return the magnitude of a frame's force [N]; None where that isn't determined.
 
         No scale is known before the run of contact with the known force has ended.
         """
@@ -113,7 +113,7 @@ class ClipCalibration:
         physical = None if scale is None else scale.of(PressedRun(-1, math.nan, math.nan, *known), self.length)
         if physical is None or physical.log_sd is None or "force" not in physical.determined:
             return None
-        return float(Quantity(math.exp(physical.logs[2]), physical.log_sd[2]).end(1))
+        return Quantity(math.exp(physical.logs[2]), physical.log_sd[2])
 
     def record(self) -> dict[str, Any]:
         """What run.json keeps: where newtons come from."""

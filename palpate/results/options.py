@@ -51,8 +51,11 @@ class Forces:
     forces.json then has F/k_s in mm, and with --force-scale calibrated.csv has N/m; all else stays in scene units
     (docs/metric.md)"""
     force_limit: Positive | None = option(None, metavar="X", needs=FRAME_FORCE)
-    """limit of the force in the unit of the column force, of infer in newtons with --force-scale: whether it is reached
-    in every frame, by the upper end of its 90 % interval (docs/forces.md). Research software, not a medical device"""
+    """limit of the force in the unit of the column force, of infer in newtons with --force-scale: whether it is
+    above in every frame, by its interval (docs/forces.md). Research software, not a medical device"""
+    alarm_at: Annotated[float, 0.5, 0.999] | None = option(None, metavar="P", needs=FRAME_FORCE)
+    """probability that the force is above --force-limit from which on there is an alarm, which ends below 0.5 (default:
+    0.9); a lower one misses less and warns more often for nothing (docs/forces.md)"""
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,8 @@ def require_able(estimator: Estimator, values: Mapping[str, Any], kinds: Sequenc
         values: of options, by name.
         kinds: dataclasses of these options.
     """
+    if values.get("alarm_at") is not None and values.get("force_limit") is None:
+        raise ValueError("--alarm-at has no effect without --force-limit; give a limit, too.")
     for kind in kinds:
         for name, field in kind.__dataclass_fields__.items():
             needs, given = field.metadata.get("needs"), values.get(name) not in (None, False)

@@ -1,7 +1,6 @@
 """Overlay on the clip: outlines, contact point, force arrow, verdict and numbers."""
 
 import textwrap
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -12,6 +11,7 @@ from palpate.estimators.result import values_of
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.verdicts import ALARMS, NOTES, Color, in_words, numbers, state
 
+Place = tuple[float, float]
 WHITE: Color = (255, 255, 255)
 _TISSUE_COLOR: Color = (74, 222, 128)
 _TOOL_COLOR: Color = (56, 189, 248)
@@ -67,7 +67,7 @@ def _outline(canvas: np.ndarray, mask: np.ndarray, color: Color) -> None:
     height, width = canvas.shape[:2]
     reach = 2 * max(1, round(width / mask.shape[1])) + 1
     smooth = cv2.blur(cv2.resize(mask.astype(np.uint8) * 255, (width, height)), (reach, reach))
-    contours = cv2.findContours((smooth > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    contours = cv2.findContours((smooth > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_KCOS)[0]
     cv2.drawContours(canvas, contours, -1, color, max(1, round(height / 320)), cv2.LINE_AA)
 
 
@@ -138,28 +138,21 @@ def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
     shade(canvas, (0, height - bar), (width, bar), 0.55)
     baseline = height - bar * 0.32
     text(canvas, f"frame {estimate.frame}   {estimate.time_s:.2f} s", (size, baseline), size, WHITE)
-    text(canvas, "Research software, not a medical device", (width - size, baseline), size, _SOFT, align="right")
+    text(canvas, "Research software, not a medical device", (width - size, baseline), size, _SOFT, right=True)
 
 
 def text(
-    image: np.ndarray,
-    string: str,
-    origin: tuple[float, float],
-    size: float,
-    color: Color,
-    *,
-    bold: bool = False,
-    align: Literal["left", "right"] = "left",
+    image: np.ndarray, string: str, at: Place, size: float, color: Color, *, bold: bool = False, right: bool = False
 ) -> None:
     """Write one line on an RGB image in place.
 
     Args:
         image: uint8, shape [H, W, 3].
-        origin: (x, y) of the baseline's left or right end, by `align` [px].
+        at: (x, y) of the baseline's left end, or `right` end [px].
         size: height of the font [px].
     """
-    shift = text_width(string, size, bold=bold) if align == "right" else 0
-    position = (round(origin[0] - shift), round(origin[1]))
+    shift = text_width(string, size, bold=bold) if right else 0
+    position = (round(at[0] - shift), round(at[1]))
     cv2.putText(image, _drawable(string), position, color, _FONT, round(size), 650 if bold else 400)
 
 

@@ -30,7 +30,7 @@ from palpate.results.writer import ClipResults
 
 FORMAT_VERSION = 1
 """Version of the record's layout."""
-PACKAGES = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
+
 UNDRIVEN = (
     "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; the "
     "online estimator needs a clip whose tool drives the tissue"
@@ -43,10 +43,7 @@ UNCALIBRATED = (
     "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
     "intervals hold the truth less often than that"
 )
-AUTOMATIC = (
-    "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: contact "
-    "here means in view, until the instrument has moved and tissue did not move with it"
-)
+
 PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 """Statuses that mean a broken input, not an empty scene."""
 
@@ -151,10 +148,7 @@ def build_record(
 
 
 def warnings_of(
-    source: FrameSource,
-    frames: Sequence[FrameEstimate],
-    model: ExportedModel | None,
-    sources: Mapping[str, str],
+    source: FrameSource, frames: Sequence[FrameEstimate], model: ExportedModel | None, sources: Mapping[str, str]
 ) -> list[str]:
     """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
@@ -173,10 +167,12 @@ def warnings_of(
             )
     found += source.warnings
     if sources["masks"] == "automatic":
-        found.append(AUTOMATIC)
+        found.append(
+            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
+            "contact here means in view, until the instrument has moved and tissue did not move with it"
+        )
     for status in PERSISTENT:
-        hit = [frame for frame in frames if frame.status == status]
-        if hit:
+        if hit := [frame for frame in frames if frame.status == status]:
             share, first = f"{len(hit)} of {len(frames)} frames are {status}", hit[0]
             found.append(f"{share}, the first is {first.frame}: {first.detail}")
     if isinstance(model, PosteriorModel) and not model.calibrated:
@@ -231,5 +227,6 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
 @functools.cache
 def versions() -> dict[str, str]:
     """Versions of this program and of the packages that the numbers depend on."""
-    found = {item.name: item.version for item in distributions() if item.name in PACKAGES}
+    packages = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
+    found = {name: item.version for name in packages for item in distributions(name=name)}
     return found | {"python": platform.python_version(), "preprocessing": str(PREPROCESSING_VERSION)}

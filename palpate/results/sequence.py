@@ -33,10 +33,8 @@ from palpate.results.record import FORMAT_VERSION, head_of, sha256_of
 if TYPE_CHECKING:
     from palpate.results.run import Batch
 
-PARTICLES, NAMED = "particles.csv", ("poses", "times", "points", "camera")
-"""File of the last frame's particles, and fields of sequence.yaml that name a file."""
-PLACES = ("rest_x", "rest_y", "rest_z", "x", "y", "z")
-"""Columns of places in particles.csv, before what is found at each [m]."""
+PARTICLES = "particles.csv"
+"""File of the last frame's particles."""
 
 
 def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
@@ -45,7 +43,7 @@ def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any
     Raises:
         OSError: a file can't be read.
     """
-    named = (getattr(sequence.given, name) for name in NAMED)
+    named = (getattr(sequence.given, name) for name in ("poses", "times", "points", "camera"))
     files = [sequence.path, *sequence.files, *(sequence.path.parent / name for name in named if name is not None)]
     found = {"sequence": [*map(sha256_of, files)], "numbers": sequence.numbers, "estimator": dict(estimator)}
     return found | {"format": FORMAT_VERSION, "code": code_digest(), "program": __version__}
@@ -104,7 +102,8 @@ class SequenceClip:
                 cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
                 inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
                 Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
-                columns = dict(zip(PLACES, np.column_stack([field.rest, field.positions]).T, strict=True)) | values
+                places = dict(zip(("rest_x", "rest_y", "rest_z"), field.rest.T, strict=True))
+                columns = places | dict(zip("xyz", field.positions.T, strict=True)) | values
                 done()
             particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
             for name, table in ((PARTICLES, particles), (store.TABLE, rows)):

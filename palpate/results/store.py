@@ -29,7 +29,6 @@ MARKER = ".unfinished-results"
 """Tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"
 """Value of `program` in run.json; another program's results are never replaced."""
-_NAME_BYTES = 120
 
 
 class OutputError(ValueError):
@@ -78,9 +77,9 @@ def safe_name(name: str) -> str:
     """
     normal = unicodedata.normalize("NFC", name)
     clean = re.sub(r'[\x00-\x1f\x7f<>:"/\\|?*\ud800-\udfff]', "_", normal).strip(" .") or "clip"
-    if len(clean.encode()) <= _NAME_BYTES:
+    if len(clean.encode()) <= 120:
         return clean
-    return clean.encode()[: _NAME_BYTES - 9].decode("utf-8", "ignore").rstrip(" .") + "-" + _mark(normal)
+    return clean.encode()[:111].decode("utf-8", "ignore").rstrip(" .") + "-" + _mark(normal)
 
 
 def _mark(text: str) -> str:
@@ -154,10 +153,8 @@ def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overw
     if same and not overwrite and all(_is_as_recorded(folder / name) for name in {*files, *own_files(folder)}):
         return True
     if record and not same and not overwrite:
-        raise OutputError(
-            f"{folder}: holds results of other settings, of another model or version, or of frames that have "
-            "changed since; --overwrite replaces them, or choose another --output."
-        )
+        problem = f"{folder}: holds results of other settings, of another model or version, or of frames that"
+        raise OutputError(f"{problem} have changed since; --overwrite replaces them, or choose another --output.")
     _require_untouched(folder, files)
     return False
 

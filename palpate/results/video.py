@@ -49,7 +49,7 @@ class VideoClip:
         self.name, self.length = self._source.name, self._source.length
         self.causes = depends_on(path, settings, estimator)
         """What the results depend on."""
-        chosen = {name: getattr(options, name) for name in ("force_limit", "shaft_diameter", "export")}
+        chosen = {name: getattr(options, name) for name in ("force_limit", "alarm_at", "shaft_diameter", "export")}
         self.causes |= {name: value for name, value in chosen.items() if value is not None}
         self._calibration = None
         if batch.calibration is not None:
@@ -71,7 +71,7 @@ class VideoClip:
         """
         options, newtons, seconds = self._options, self._calibration, self._estimator.force_seconds or math.inf
         limit, unit = options.force_limit, UNITS["force"] if newtons is None else NEWTONS
-        alarm = None if limit is None else ForceAlarm(limit, unit, seconds)
+        alarm = None if limit is None else ForceAlarm(limit, unit, seconds, options.alarm_at or ForceAlarm.raised)
         with ClipResults(folder, self._source, self._kinds, newtons, alarm, seconds) as results:
             clip, started = ClipStream(self._source, self._settings), time.perf_counter()
             length = ClipLength.of(clip)

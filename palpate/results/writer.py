@@ -1,7 +1,5 @@
 """One clip's results, in a folder that is complete or not there at all."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -74,12 +72,12 @@ class ClipResults:
             with writing(folder.parent):
                 self.partial = store.partial_folder(folder)
                 self._waiting = self._open.enter_context(closing(FrameSpool(self.partial)))
-                self.artefacts = [self._open.enter_context(closing(kind(self))) for kind in kinds]  # ty: ignore[invalid-argument-type]  two paths to one class
+                self.artefacts = [self._open.enter_context(closing(kind(self))) for kind in kinds]
         except BaseException:
             self.__exit__()
             raise
 
-    def __enter__(self) -> ClipResults:
+    def __enter__(self) -> "ClipResults":
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -92,8 +90,8 @@ class ClipResults:
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Take the next frame; in contact it waits until that has ended."""
         if self.alarm is not None:
-            upper_end = None if self.calibration is None else self.calibration.upper_force
-            estimate = self.alarm.watch(estimate, upper_end)
+            force_of = None if self.calibration is None else self.calibration.known_force
+            estimate = self.alarm.watch(estimate, force_of)
         pictures = any(artefact.pictures for artefact in self.artefacts)
         shown = (prepared.frame.image, prepared.picture_labels) if pictures else (None, None)
         self.estimates.append(replace(estimate, field=None))

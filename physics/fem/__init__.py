@@ -17,5 +17,5 @@ __getattr__, __dir__, __all__ = exported(
         "palpate.physics.fem.solid": ("Solid", "make_solid"),
         "palpate.physics.fem.meshing": ("Meshed", "NoBody", "box", "mesh_surface"),
         "palpate.physics.fem.equilibrium": ("Equilibrium", "NoEquilibrium", "find_equilibrium"),
-    },
+    }
 )

@@ -15,10 +15,6 @@ from palpate.physics.fem.laws import Material, Response, respond
 from palpate.physics.fem.linear_system import LinearSystem
 from palpate.physics.fem.solid import Solid
 
-TOLERANCE = 1e-10
-"""Largest force out of balance, over the largest sum of the elements' forces at a node."""
-_ITERATIONS = 30
-
 
 class NoEquilibrium(ValueError):
     """Newton's method found none along the load."""
@@ -153,9 +149,8 @@ def find_equilibrium(
         NoEquilibrium: none found, even with steps 2⁶ times smaller.
     """
     shape = solid.rest.shape
-    motion = np.zeros(shape) if motion is None else np.asarray(motion, np.float64)
-    forces = np.zeros(shape) if forces is None else np.asarray(forces, np.float64)
-    begun = np.zeros(shape) if start is None else np.asarray(start, np.float64)
+    given = (np.zeros(shape) if each is None else np.asarray(each, np.float64) for each in (motion, forces, start))
+    motion, forces, begun = given
     for name, values in (("held", held), ("motion", motion), ("forces", forces), ("start", begun)):
         if np.shape(values) != shape:
             raise ValueError(f"{name} has shape {np.shape(values)}; give one row of three a node, {shape}.")
@@ -190,7 +185,8 @@ def settle(
     goal: np.ndarray,
     held: np.ndarray,
     near: LinearSystem | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = 1e-10,
+    most: int = 30,
 ) -> tuple[np.ndarray, int, LinearSystem | None]:
     """Newton's method with a line search, the prescribed components first moved to their goal along with the rest.
 
@@ -200,7 +196,8 @@ def settle(
         goal: where the prescribed components go, shape [N, 3].
         held: which are prescribed, shape [N, 3], bool.
         near: that of a state close by, whose factors help.
-        tolerance: as TOLERANCE.
+        tolerance: largest force out of balance, over the largest sum of the elements' forces at a node.
+        most: Newton steps.
 
     Returns:
         displacement, shape [N, 3], how many steps it took, and the last system solved.
@@ -213,12 +210,11 @@ def settle(
     moving = bool(jump.any())
     balanced = np.inf
     response = energy.response(displacement, tangent=True)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(most):
         force, size = energy.out_of_balance(response, displacement)
         if not np.isfinite(size):
-            raise NoEquilibrium(
-                "an element is turned inside out, where the law isn't defined; give smaller load steps."
-            )
+            problem = "an element is turned inside out, where the law isn't defined;"
+            raise NoEquilibrium(f"{problem} give smaller load steps.")
         left = float(np.abs(force[~held]).max(initial=0.0))
         relative = left / size if size > 0 else 0.0
         if not moving and relative <= tolerance:
@@ -252,7 +248,7 @@ def settle(
         if length == 1.0 and balanced <= 1e2 * tolerance and relative >= balanced / 2:
             return displacement, iteration + 1, near  # rounding: it comes no closer
         balanced = relative
-    raise NoEquilibrium(f"no equilibrium within {_ITERATIONS} Newton steps; give smaller load steps.")
+    raise NoEquilibrium(f"no equilibrium within {most} Newton steps; give smaller load steps.")
 
 
 def _downhill(right: np.ndarray, solver: LinearSystem, accuracy: float) -> tuple[np.ndarray, float, LinearSystem]:

@@ -13,7 +13,6 @@ stable_neo_hookean  Smith, de Goes & Kim 2018, equation 14, reparametrised as th
 F is of shape [..., 3, 3], F_ij = ∂x_i/∂X_j; nine-vectors are row by row.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,8 +21,7 @@ import numpy as np
 from palpate.physics.fem.polar import rotations, spins
 
 _IDENTITY = np.eye(9)
-_TRANSPOSED = np.eye(9)[np.arange(9).reshape(3, 3).T.ravel()]
-_TRACE = np.eye(3).ravel()
+
 _LEVI_CIVITA = np.cross(np.eye(3)[:, None], np.eye(3))
 _COFACTOR_SLOPE = np.einsum("ikm,jln->ijklmn", _LEVI_CIVITA, _LEVI_CIVITA).reshape(81, 9)
 """∂(cof F)_ij/∂F_kl = ε_ikm ε_jln F_mn."""
@@ -45,7 +43,8 @@ def _linear(gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, tangent: bool
     trace = np.trace(strain, axis1=-2, axis2=-1)
     energy = mu * np.square(strain).sum((-2, -1)) + lam / 2 * trace**2
     stress = _of(2 * mu) * strain + _of(lam * trace) * np.eye(3)
-    slope = _of(mu) * (_IDENTITY + _TRANSPOSED) + _of(lam) * np.outer(_TRACE, _TRACE) if tangent else None
+    transposed = _IDENTITY[np.arange(9).reshape(3, 3).T.ravel()]
+    slope = _of(mu) * (_IDENTITY + transposed) + _of(lam) * np.outer(np.eye(3), np.eye(3)) if tangent else None
     return Response(energy, stress, slope)
 
 
@@ -97,12 +96,7 @@ def _stable_neo_hookean(gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, t
     return Response(energy, stress.reshape(gradient.shape), slope)
 
 
-_LAWS: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray, bool], Response]] = {
-    "linear": _linear,
-    "corotational": _corotational,
-    "neo_hookean": _neo_hookean,
-    "stable_neo_hookean": _stable_neo_hookean,
-}
+_LAWS = {law.__name__[1:]: law for law in (_linear, _corotational, _neo_hookean, _stable_neo_hookean)}
 LAWS = tuple(_LAWS)
 """Names of the laws."""
 

@@ -1,18 +1,13 @@
 """Symmetric linear systems of a body: factorised where small, iterated where large."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import LinearOperator, SuperLU, aslinearoperator, cg, splu
 
 DIRECT = 10_000
 """Unknowns up to which the matrix is factorised at once: filling-in grows with their square, iterations don't."""
-_CLOSE, _LARGE = 12, 800
-"""Iterations with the factors of a matrix close by, above which this one's own are cheaper; one for so many unknowns,
-where that is more: factors of 37,500 to 62,000 take as long as 90 to 250 iterations."""
 
 
 class LinearSystem:
@@ -24,7 +19,7 @@ class LinearSystem:
             precondition this one.
     """
 
-    def __init__(self, matrix: csr_array, near: LinearSystem | None = None) -> None:
+    def __init__(self, matrix: csr_array, near: "LinearSystem | None" = None) -> None:
         self.matrix = matrix
         self.borrowed = None if near is None or near.matrix.shape != matrix.shape else near.known
         """Factors of another matrix close by."""
@@ -49,11 +44,12 @@ class LinearSystem:
             found = None
             if self.borrowed is not None and len(columns) <= 3:
                 borrowed = LinearOperator(self.matrix.shape, self.borrowed.solve)
-                most = max(_CLOSE, len(right) // _LARGE)
-                found = self._all_iterated(columns, tolerance, borrowed, most)
+                # More iterations take longer than factors of its own: those of 37,500 to 62,000 unknowns take as long
+                # as 90 to 250.
+                found = self._iterated(columns, tolerance, borrowed, max(12, len(right) // 800))
             # Where factors of such a matrix were to be had, its own are too.
             if found is None and self.borrowed is None and len(right) > DIRECT and self._diagonal is not None:
-                found = self._all_iterated(columns, tolerance, self._diagonal, 3000)
+                found = self._iterated(columns, tolerance, self._diagonal, 3000)
             if found is not None:
                 return found.reshape(right.shape)
         return self.factors.solve(right)
@@ -66,20 +62,15 @@ class LinearSystem:
     @cached_property
     def _diagonal(self) -> LinearOperator | None:
         diagonal = self.matrix.diagonal()
-        if not (diagonal > 0).all():
-            return None
-        scale = 1 / diagonal
-        return LinearOperator(self.matrix.shape, lambda values: scale * values.ravel())
+        return aslinearoperator(diags_array(1 / diagonal)) if (diagonal > 0).all() else None
 
-    def _all_iterated(
-        self, columns: np.ndarray, tolerance: float, preconditioner: LinearOperator, most: int
-    ) -> np.ndarray | None:
+    def _iterated(self, columns: np.ndarray, tolerance: float, inverse: LinearOperator, most: int) -> np.ndarray | None:
         """Conjugate gradients for right-hand sides [K, U], solutions [U, K]; None where they don't converge, as with an
         indefinite matrix.
         """
         solved = []
         for column in columns:
-            found, failed = cg(self.matrix, column, rtol=tolerance, maxiter=most, M=preconditioner)
+            found, failed = cg(self.matrix, column, rtol=tolerance, maxiter=most, M=inverse)
             if failed:
                 return None
             solved.append(found)

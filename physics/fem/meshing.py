@@ -36,11 +36,7 @@ def around(places: np.ndarray, radius: float, edge: float) -> Longest:
         radius: within which edges are at most
         edge: so long, and farther off by GROWTH longer [m].
     """
-
-    def longest(there: np.ndarray) -> np.ndarray:
-        return edge + GROWTH * np.maximum(KDTree(places).query(there)[0] - radius, 0.0)
-
-    return longest
+    return lambda there: edge + GROWTH * np.maximum(KDTree(places).query(there)[0] - radius, 0.0)
 
 
 def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple[np.ndarray, np.ndarray]:
@@ -85,13 +81,6 @@ def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple
         tetrahedra = np.concatenate([tetrahedra[~some], *parts])
 
 
-_CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-_EVEN = np.array([[0, 4, 2, 1], [6, 2, 4, 7], [5, 1, 7, 4], [3, 1, 2, 7], [1, 4, 2, 7]])
-"""Corners of the five tetrahedra of a cell, as rows of `_CORNERS`."""
-_ODD = (_EVEN ^ 4)[:, [0, 2, 1, 3]]
-"""Tetrahedra of every other cell: mirrored, so that the diagonals of shared faces agree."""
-
-
 def fill_cells(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and tetrahedra of some cells of a grid.
 
@@ -101,13 +90,13 @@ def fill_cells(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         the nodes' grid coordinates, shape [N, 3], int64; corners of the tetrahedra, shape [5·cells, 4].
     """
-    cells = np.argwhere(inside)
-    shape = np.array(inside.shape) + 1
-    at = np.ravel_multi_index(tuple((cells[:, None] + _CORNERS).transpose(2, 0, 1)), tuple(shape))
-    even = cells.sum(axis=1) % 2 == 0
-    tetrahedra = np.where(even[:, None, None], at[:, _EVEN], at[:, _ODD]).reshape(-1, 4)
-    used, corners = np.unique(tetrahedra, return_inverse=True)
-    return np.stack(np.unravel_index(used, tuple(shape)), axis=1), corners.reshape(-1, 4)
+    cells, shape = np.argwhere(inside), tuple(np.array(inside.shape) + 1)
+    at = np.ravel_multi_index(tuple((cells[:, None] + np.indices((2, 2, 2)).reshape(3, 8).T).transpose(2, 0, 1)), shape)
+    even = np.array([[0, 4, 2, 1], [6, 2, 4, 7], [5, 1, 7, 4], [3, 1, 2, 7], [1, 4, 2, 7]])
+    odd = (even ^ 4)[:, [0, 2, 1, 3]]  # mirrored, so that the diagonals of shared faces agree
+    parts = np.where((cells.sum(axis=1) % 2 == 0)[:, None, None], at[:, even], at[:, odd])
+    used, corners = np.unique(parts.reshape(-1, 4), return_inverse=True)
+    return np.stack(np.unravel_index(used, shape), axis=1), corners.reshape(-1, 4)
 
 
 def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -126,8 +115,6 @@ def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tup
 
 WORST = 0.05
 """Lowest quality of an element that drawing leaves (`qualities`; a lattice's are 0.35 to 0.71)."""
-_OFF = np.array([3.1e-4, 1.7e-4, 2.3e-4])
-"""Offset of the rays from the cells' centres, in cells: on the grid they would meet edges."""
 
 
 class NoBody(ValueError):
@@ -145,12 +132,7 @@ class Meshed:
 
 
 def mesh_surface(
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    *,
-    cells: int = 16,
-    floor: Floor = None,
-    longest: Longest | None = None,
+    vertices: np.ndarray, triangles: np.ndarray, *, cells: int = 16, floor: Floor = None, longest: Longest | None = None
 ) -> Meshed:
     """Fill a surface.
 
@@ -187,21 +169,22 @@ def mesh_surface(
         raise NoBody("the surface encloses nothing; give a closed one, or more cells.")
     if floor is not None:
         inside &= centres[..., floor[0]] > floor[1]
-    places, tetrahedra = fill_cells(_largest_part(inside))
+    parts = label(inside)[0]
+    # The most cells that hang together.
+    places, tetrahedra = fill_cells(parts == 1 + np.bincount(parts.ravel(), minlength=2)[1:].argmax())
     drawn = functools.partial(_drawn, corners=corners, samples=samples, floor=floor)
     nodes = drawn(origin + sides * places, tetrahedra)
     if longest is not None:
-        nodes, tetrahedra = refine(*_without_flat(nodes, tetrahedra, drawn), longest)
+        for _ in range(3):  # flat outer elements are left out, and the others drawn anew
+            flat = _flat(nodes, tetrahedra)
+            if not flat.any() or flat.all():
+                break
+            kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
+            tetrahedra = left.reshape(-1, 4)
+            nodes = drawn(nodes[kept], tetrahedra)
+        nodes, tetrahedra = refine(nodes, tetrahedra, longest)
         nodes = drawn(nodes, tetrahedra)
     return Meshed(nodes, tetrahedra)
-
-
-def _largest_part(inside: np.ndarray) -> np.ndarray:
-    """The most cells that hang together, shape [I, J, K], bool."""
-    parts, count = label(inside)
-    if count < 2:
-        return inside
-    return parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
 
 
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -233,11 +216,12 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Which cells more than half of six rays call inside, shape [I, J, K], bool."""
     votes = np.zeros(centres.shape[:3], np.int64)
     sides = centres[1, 1, 1] - centres[0, 0, 0]
+    off = sides * [3.1e-4, 1.7e-4, 2.3e-4]  # of the rays from the cells' centres: on the grid they would meet edges
     for axis in range(3):
         one, two = (axis + 1) % 3, (axis + 2) % 3
         order = (axis, one, two)
         grid = np.transpose(centres, (*order, 3))  # along the rays first
-        flat = grid[0].reshape(-1, 3)[:, [one, two]] + (sides * _OFF)[[one, two]]
+        flat = grid[0].reshape(-1, 3)[:, [one, two]] + off[[one, two]]
         depth = grid[:, 0, 0, axis]
         first, second, third = (corners[:, corner][:, [one, two]] for corner in range(3))
         square = _cross(second - first, third - first)
@@ -258,20 +242,6 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
         found = (below % 2) + ((hits - below) % 2)
         votes += np.transpose(found.reshape(grid.shape[:3]), np.argsort(order))
     return votes > 3
-
-
-def _without_flat(
-    nodes: np.ndarray, tetrahedra: np.ndarray, drawn: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """A mesh without its flat outer elements, `drawn` anew each time that some are left out."""
-    for _ in range(3):
-        flat = _flat(nodes, tetrahedra)
-        if not flat.any() or flat.all():
-            break
-        kept, left = np.unique(tetrahedra[~flat], return_inverse=True)
-        tetrahedra = left.reshape(-1, 4)
-        nodes = drawn(nodes[kept], tetrahedra)
-    return nodes, tetrahedra
 
 
 def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:

@@ -2,9 +2,6 @@
 
 import numpy as np
 
-_AXES = np.cross(np.eye(3)[:, None], -np.eye(3))
-"""[e_a]×, shape [3, 3, 3]."""
-
 
 def rotations(gradient: np.ndarray) -> np.ndarray:
     """R of F = R S with S symmetric, shape [..., 3, 3].
@@ -34,5 +31,6 @@ def spins(gradient: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     jumps = np.abs(np.linalg.det(matrix)) <= 1e-14 * np.abs(trace) ** 3
     inverse = np.linalg.inv(np.where(jumps[..., None, None], np.eye(3), matrix))
     inverse[jumps] = 0
-    turned = (rotation[..., None, :, :] @ _AXES).reshape(*rotation.shape[:-2], 3, 9)
+    axes = np.cross(np.eye(3)[:, None], -np.eye(3))  # [e_a]×
+    turned = (rotation[..., None, :, :] @ axes).reshape(*rotation.shape[:-2], 3, 9)
     return np.swapaxes(turned, -1, -2) @ inverse @ turned

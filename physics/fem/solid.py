@@ -14,8 +14,6 @@ EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners between which nodes 4 … 9 of a quadratic tetrahedron lie."""
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 """Corners of a tetrahedron's faces, anticlockwise seen from outside."""
-_FLAT = 1e-9
-"""Six volumes over the longest edge's cube, below which an element counts as flat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,12 +133,9 @@ def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> 
         raise ValueError(f"tetrahedra have shape {tetrahedra.shape}; give indices of shape [E, 4], one at least.")
     if tetrahedra.min() < 0 or tetrahedra.max() >= len(nodes):
         raise ValueError(f"tetrahedra name nodes {tetrahedra.min()} to {tetrahedra.max()} of {len(nodes)}.")
-    quality = qualities(nodes, tetrahedra)
-    bad = np.flatnonzero(quality < _FLAT)
-    if len(bad):
-        raise ValueError(
-            f"{len(bad)} of {len(tetrahedra)} tetrahedra are inverted or flat, number {bad[0]} first; mesh anew."
-        )
+    if len(bad := np.flatnonzero(qualities(nodes, tetrahedra) < 1e-9)):
+        problem = f"{len(bad)} of {len(tetrahedra)} tetrahedra are inverted or flat, number {bad[0]} first;"
+        raise ValueError(f"{problem} mesh anew.")
     edges = nodes[tetrahedra[:, 1:]] - nodes[tetrahedra[:, :1]]
     slopes = np.linalg.inv(edges).transpose(0, 2, 1)
     barycentric = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)  # of the four coordinates
@@ -153,8 +148,7 @@ def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> 
     inner = (5 - np.sqrt(5)) / 20  # four points, exact for polynomials of degree 2
     points = np.full((4, 4), inner) + (1 - 4 * inner) * np.eye(4)
     by_corner = (4 * points - 1)[None, :, :, None] * barycentric[:, None]
-    one, two = EDGES.T
-    ends = ((one, two), (two, one))
+    ends = EDGES.T, EDGES.T[::-1]
     by_edge = 4 * sum(points[:, a][None, :, :, None] * barycentric[:, None, b] for a, b in ends)
     nodes, gradients = np.concatenate([nodes, nodes[pairs].mean(axis=1)]), np.concatenate([by_corner, by_edge], axis=2)
     return Solid(nodes, elements, gradients, np.repeat(volumes[:, None] / 4, 4, axis=1))

@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from palpate.physics.mesh import crosses
+
 
 def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Barycentric coordinates of the place of a triangle that is closest to a point (Ericson 2005, section 5.1.5).
@@ -37,8 +39,7 @@ def rows_needed(triangles: np.ndarray, spacing: float) -> int:
 
 def areas(triangles: np.ndarray) -> np.ndarray:
     """Return the areas of triangles [F, 3, 3], shape [F]."""
-    one, two, three = np.moveaxis(triangles, 1, 0)
-    return np.linalg.norm(np.cross(two - one, three - one), axis=1) / 2
+    return np.linalg.norm(crosses(triangles), axis=1) / 2
 
 
 def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 reference     the equations in plain numpy: read this one
 simulation    for numpy: simulate, simulate_sensitivities; one sample through the kernels
 rollouts      for torch: rollout, rollout_sensitivities; batch: what was observed
-likelihoods   the paper's squared error of a batch, and its likelihood
+likelihoods   the paper's squared error of a batch
 grid_kernel   the compiled loops, on a pixel grid; cone: which part of the mesh matters
 autograd      torch's view of the compiled rollout
 """
@@ -14,6 +14,6 @@ __getattr__, __dir__, __all__ = exported(
     {
         "palpate.physics.msd.rollouts": ("rollout", "rollout_sensitivities"),
         "palpate.physics.msd.simulation": ("simulate", "simulate_sensitivities"),
-        "palpate.physics.msd.batch": ("DepthBatch", "ObservationBatch"),
-    },
+        "palpate.physics.msd.batch": ("ObservationBatch",),
+    }
 )

@@ -41,9 +41,7 @@ class CompiledRollout(torch.autograd.Function):
     """Trajectories [B, T, M, 3] and their Jacobian [B, T, M, 3, 3], a constant, from θ [B, 3]."""
 
     @staticmethod
-    def forward(
-        ctx, theta: Tensor, meshes, loads, watched: Tensor, mechanics: Mechanics, sensitive: bool
-    ) -> tuple[Tensor, Tensor]:
+    def forward(ctx, theta, meshes, loads, watched, mechanics: Mechanics, sensitive: bool) -> tuple[Tensor, Tensor]:
         """Compute the trajectories, and the Jacobian where it is wanted or a gradient may be; empty otherwise."""
         parts = zip(theta.detach().numpy(), meshes, loads, watched.numpy(), strict=True)
         samples = [Case(values, mesh, load, mechanics, watch) for values, mesh, load, watch in parts]

@@ -16,8 +16,6 @@ from palpate.physics.msd.reference import integrator
 GRID_EIGENVALUE = 9.0
 """Upper bound on the eigenvalues of the graph Laplacian of springs right, down and along one diagonal."""
 
-LEVELS_PER_OCTAVE = 8
-"""θ is rounded this finely, to the side of wider windows, so that a window's shape can be reused."""
 
 INSIDE = 1e-3
 """How much less the window used may neglect than the smaller one it is checked with."""
@@ -75,8 +73,9 @@ def window_radii(
     exact = exact_radii(steps, reach)
     if not (math.isfinite(stiffness) and math.isfinite(damping) and stiffness > 0):
         return exact, exact
-    wider = 2 ** (math.ceil(LEVELS_PER_OCTAVE * math.log2(stiffness)) / LEVELS_PER_OCTAVE)
-    slower = 2 ** (math.floor(LEVELS_PER_OCTAVE * math.log2(damping)) / LEVELS_PER_OCTAVE) if damping > 1e-6 else 0.0
+    # θ is rounded to an eighth of an octave, to the side of wider windows, so that a window's shape can be reused.
+    wider = 2 ** (math.ceil(8 * math.log2(stiffness)) / 8)
+    slower = 2 ** (math.floor(8 * math.log2(damping)) / 8) if damping > 1e-6 else 0.0
     # Only the smaller of both radii counts, so that responses are needed over half of the time, or over all of it.
     horizon = int(exact.max()) + 1 if reach == ALONE else steps
     step = np.arange(steps)

@@ -70,13 +70,9 @@ def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: 
     pitch = next((size for size in PITCHES if size >= columns + 3), None)
     if pitch is None:
         return None
-    vertices = np.ascontiguousarray(mesh.vertices, dtype=dtype)
-    springs = np.ascontiguousarray(mesh.springs, dtype=np.int32)
-    places = pixels - (low - 1).astype(np.int32)
-    mobile = np.ascontiguousarray(mobile, dtype=bool)
-    regular, rest, first, last = _filled(
-        vertices, springs, places, mobile, rows, columns, pitch, dtype.type(NORM_GUARD)
-    )
+    given = (mesh.vertices, dtype), (mesh.springs, np.int32), (pixels - (low - 1), np.int32), (mobile, bool)
+    arrays = (np.ascontiguousarray(values, dtype=kind) for values, kind in given)
+    regular, rest, first, last = _filled(*arrays, rows, columns, pitch, dtype.type(NORM_GUARD))
     if not regular:
         return None
     row, column = (centre - low + 1).tolist()
@@ -109,9 +105,7 @@ def _filled(vertices, springs, pixels, mobile, rows, columns, pitch, guard):
             last[row] = max(last[row], column)
     for spring in range(springs.shape[0]):
         start, end = springs[spring, 0], springs[spring, 1]
-        if pixels[end, 0] < pixels[start, 0] or (
-            pixels[end, 0] == pixels[start, 0] and pixels[end, 1] < pixels[start, 1]
-        ):
+        if (pixels[end, 0], pixels[end, 1]) < (pixels[start, 0], pixels[start, 1]):
             start, end = end, start
         row, column = pixels[start, 0], pixels[start, 1]
         down, right = pixels[end, 0] - row, pixels[end, 1] - column

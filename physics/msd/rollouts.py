@@ -14,14 +14,11 @@ from palpate.physics.mesh import Mesh
 from palpate.physics.msd.autograd import CompiledRollout
 
 DEFAULT = Mechanics()
+Watch = Tensor | None
 
 
 def rollout(
-    theta: Tensor,
-    meshes: Sequence[Mesh],
-    loads: Sequence[Press],
-    mechanics: Mechanics = DEFAULT,
-    watch: Tensor | None = None,
+    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], mechanics: Mechanics = DEFAULT, watch: Watch = None
 ) -> Tensor:
     """Displacement of a few vertices after each step, differentiable in θ.
 
@@ -45,11 +42,7 @@ def rollout(
 
 
 def rollout_sensitivities(
-    theta: Tensor,
-    meshes: Sequence[Mesh],
-    loads: Sequence[Press],
-    mechanics: Mechanics = DEFAULT,
-    watch: Tensor | None = None,
+    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], mechanics: Mechanics = DEFAULT, watch: Watch = None
 ) -> tuple[Tensor, Tensor]:
     """What `rollout` gives, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
 
@@ -61,9 +54,7 @@ def rollout_sensitivities(
     return (found[:, :, 0], slopes[:, :, 0]) if watch is None else (found, slopes)
 
 
-def _checked(
-    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], watch: Tensor | None
-) -> tuple[Tensor, Tensor]:
+def _checked(theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], watch: Watch) -> tuple[Tensor, Tensor]:
     """θ in at least single precision and vertices to watch [B, M]; a ValueError names what doesn't belong together."""
     if not meshes or len(loads) != len(meshes):
         raise ValueError(f"{len(meshes)} meshes have {len(loads)} loads; give a load for each mesh, one at least.")

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
+from palpate.physics.mesh import crosses
+
 NORM_GUARD = 1e-18
 """Added under square roots [m²]: lengths of zero have a gradient, and shapes at rest one of zero."""
 
@@ -46,6 +48,11 @@ class Body:
     def count(self) -> int:
         """N."""
         return len(self.rest)
+
+    @cached_property
+    def edge(self) -> float:
+        """Mean length of edges at rest [m]."""
+        return float(self.layout.rest[self.kinds[0]].mean())
 
     @cached_property
     def averages(self) -> csr_array:
@@ -105,7 +112,12 @@ def make_body(
     held = np.zeros(count, bool) if pinned is None else np.asarray(pinned, bool)
     if held.shape != (count,):
         raise ValueError(f"pinned has shape {held.shape}; give one entry a particle, {count}.")
-    edges = _edges(triangles, fours)
+    # Pairs that some triangle or tetrahedron joins, each once.
+    edges = [
+        triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2),
+        fours[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]].reshape(-1, 2),
+    ]
+    edges = np.unique(np.sort(np.concatenate(edges), axis=1), axis=0)
     lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
     if not (lengths > 0).all():
         raise ValueError("two particles that an edge joins lie in one place; merge them.")
@@ -113,16 +125,9 @@ def make_body(
     return Body(rest, held, edges, fours, triangles, layout)
 
 
-def _edges(triangles: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Pairs of particles that some triangle or tetrahedron joins, each once, shape [E, 2]."""
-    of_triangles = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    of_tetrahedra = tetrahedra[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]].reshape(-1, 2)
-    return np.unique(np.sort(np.concatenate([of_triangles, of_tetrahedra]), axis=1), axis=0)
-
-
 def _layout(rest: np.ndarray, edges: np.ndarray, tetrahedra: np.ndarray, lengths: np.ndarray) -> Layout:
-    one, two, three, four = rest[tetrahedra].transpose(1, 0, 2)
-    volumes = (np.cross(two - one, three - one) * (four - one)).sum(axis=1) / 6
+    corners = rest[tetrahedra]
+    volumes = (crosses(corners[:, :3]) * (corners[:, 3] - corners[:, 0])).sum(axis=1) / 6
     both = np.concatenate([edges, edges[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
     neighbours = np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, len(rest))))
@@ -162,13 +167,8 @@ def layered(upper: np.ndarray, faces: np.ndarray, below: np.ndarray, layers: int
     ordered = np.sort(faces, axis=1)  # the same for all: prisms side by side share the diagonals of their sides
     (one, two, three), lower = ordered.T, ordered.T + len(upper)
     prisms = np.stack([(one, two, three, lower[2]), (one, two, lower[2], lower[1]), (one, *lower)]).transpose(2, 0, 1)
-    upright = (_normals(upper[ordered]) * _normals(upper[faces])).sum(axis=1) > 0
+    upright = (crosses(upper[ordered]) * crosses(upper[faces])).sum(axis=1) > 0
     prisms[upright] = prisms[upright][..., [1, 0, 2, 3]]
     tetrahedra = len(upper) * np.arange(layers - 1)[:, None, None, None] + prisms
     volumes = np.linalg.det(rest[tetrahedra[..., 1:]] - rest[tetrahedra[..., :1]]).sum(axis=2)
     return rest, tetrahedra[:, (volumes > 0).all(axis=0)].reshape(-1, 4)
-
-
-def _normals(corners: np.ndarray) -> np.ndarray:
-    """Return the normals of triangles [F, 3, 3], towards where they are anticlockwise, shape [F, 3]."""
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -35,19 +35,25 @@ def put(out, index, vector):
 @inlined
 def add(out, index, share, vector):
     """Add a share of a vector to a row of `out` [N, 3]."""
-    out[index, 0] += share * vector[0]
-    out[index, 1] += share * vector[1]
-    out[index, 2] += share * vector[2]
+    put(out, index, plus(row(out, index), share, vector))
+
+
+@inlined
+def plus(a, share, b):
+    """A vector plus a share of another."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+@inlined
+def scaled(a, share):
+    """A share of a vector."""
+    return share * a[0], share * a[1], share * a[2]
 
 
 @inlined
 def less(points, first, second):
     """Difference of two rows of points [N, 3]."""
-    return (
-        points[first, 0] - points[second, 0],
-        points[first, 1] - points[second, 1],
-        points[first, 2] - points[second, 2],
-    )
+    return plus(row(points, first), -1.0, row(points, second))
 
 
 @inlined
@@ -56,18 +62,14 @@ def _cross(a, b):
 
 
 @inlined
-def _sum(a, b):
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@inlined
-def _sixth(a):
-    return a[0] / 6, a[1] / 6, a[2] / 6
-
-
-@inlined
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _times(matrix, a):
+    """A matrix, by its rows, times a vector."""
+    return dot(matrix[0], a), dot(matrix[1], a), dot(matrix[2], a)
 
 
 @inlined
@@ -89,9 +91,9 @@ def _column(matrix, index):
 @inlined
 def _turned_back(rotation, matrix):
     """Rᵀ A by columns: what is left of A besides its rotation."""
-    a, b, c = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
+    columns = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
     x, y, z = _column(rotation, 0), _column(rotation, 1), _column(rotation, 2)
-    return ((dot(x, a), dot(x, b), dot(x, c)), (dot(y, a), dot(y, b), dot(y, c)), (dot(z, a), dot(z, b), dot(z, c)))
+    return _times(columns, x), _times(columns, y), _times(columns, z)
 
 
 @inlined
@@ -110,13 +112,8 @@ def _solved(s, right):
     sound = a > 0.0 and a * b - d * d > 0.0 and determinant > 1e-30 * (a + b + c) ** 3
     if not sound:
         return (0.0, 0.0, 0.0), False
-    x, y, z = right
     m11, m12, m22 = a * c - e * e, d * e - a * f, a * b - d * d
-    return (
-        (m00 * x + m01 * y + m02 * z) / determinant,
-        (m01 * x + m11 * y + m12 * z) / determinant,
-        (m02 * x + m12 * y + m22 * z) / determinant,
-    ), True
+    return scaled(_times(((m00, m01, m02), (m01, m11, m12), (m02, m12, m22)), right), 1 / determinant), True
 
 
 @inlined
@@ -128,15 +125,10 @@ def _settled(matrix, turn, index):
         skew = _axial(left)
         spin, sound = _solved(left, skew)
         if not sound:  # far from the best: uphill, as far as Müller 2016 goes
-            size = abs(left[0][0] + left[1][1] + left[2][2]) + 1e-300
-            spin = skew[0] / size, skew[1] / size, skew[2] / size
-        a, b, c = 0.5 * spin[0], 0.5 * spin[1], 0.5 * spin[2]
-        w, x, y, z = (
-            w - x * a - y * b - z * c,
-            x + w * a + y * c - z * b,
-            y + w * b + z * a - x * c,
-            z + w * c + x * b - y * a,
-        )
+            spin = scaled(skew, 1 / (abs(left[0][0] + left[1][1] + left[2][2]) + 1e-300))
+        a, b, c = scaled(spin, 0.5)
+        first, second = w - x * a - y * b - z * c, x + w * a + y * c - z * b
+        w, x, y, z = first, second, y + w * b + z * a - x * c, z + w * c + x * b - y * a
         scale = 1 / np.sqrt(w * w + x * x + y * y + z * z)
         w, x, y, z = w * scale, x * scale, y * scale, z * scale
         # Square of half a turn after which another would be its square: below rounding.
@@ -149,51 +141,34 @@ def _settled(matrix, turn, index):
 @inlined
 def _grown(matrix, a, b):
     """A matrix plus a bᵀ."""
-    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = matrix
-    return (
-        (m00 + a[0] * b[0], m01 + a[0] * b[1], m02 + a[0] * b[2]),
-        (m10 + a[1] * b[0], m11 + a[1] * b[1], m12 + a[1] * b[2]),
-        (m20 + a[2] * b[0], m21 + a[2] * b[1], m22 + a[2] * b[2]),
-    )
+    return plus(matrix[0], a[0], b), plus(matrix[1], a[1], b), plus(matrix[2], a[2], b)
 
 
 @inlined
 def _moments(starts, members, offsets, points, index):
     """Mean of a shape's points, and A = Σ (xᵢ - x̄) qᵢᵀ."""
     first, last = starts[index], starts[index + 1]
-    x, y, z = 0.0, 0.0, 0.0
+    matrix, mean = _NOTHING, _NOTHING[0]
     for m in range(first, last):
-        particle = members[m]
-        x += points[particle, 0]
-        y += points[particle, 1]
-        z += points[particle, 2]
-    share = 1.0 / (last - first)
-    x, y, z = x * share, y * share, z * share
-    matrix = _NOTHING
+        mean = plus(mean, 1.0, row(points, members[m]))
+    mean = scaled(mean, 1.0 / (last - first))
     for m in range(first, last):
-        particle = members[m]
-        apart = points[particle, 0] - x, points[particle, 1] - y, points[particle, 2] - z
-        matrix = _grown(matrix, apart, row(offsets, m))
-    return (x, y, z), matrix
+        matrix = _grown(matrix, plus(row(points, members[m]), -1.0, mean), row(offsets, m))
+    return mean, matrix
 
 
 @inlined
 def stretched(points, one, other, rest):
     """C of a distance, and its gradient by the first particle; that by the other is its negative."""
-    x, y, z = less(points, one, other)
-    length = np.sqrt(x * x + y * y + z * z + NORM_GUARD)
-    return length - rest, (x / length, y / length, z / length)
+    apart = less(points, one, other)
+    length = np.sqrt(dot(apart, apart) + NORM_GUARD)
+    return length - rest, scaled(apart, 1 / length)
 
 
 @inlined
 def stretched_bent(normal, length, apart):
     """Change of a distance's gradient by the first particle, where that moves by `apart` more than the other."""
-    ahead = dot(normal, apart)
-    return (
-        (apart[0] - normal[0] * ahead) / length,
-        (apart[1] - normal[1] * ahead) / length,
-        (apart[2] - normal[2] * ahead) / length,
-    )
+    return scaled(plus(apart, -dot(normal, apart), normal), 1 / length)
 
 
 @inlined
@@ -202,7 +177,7 @@ def _swelled(points, members, first, rest, slope):
     one = members[first]
     b, c = less(points, members[first + 1], one), less(points, members[first + 2], one)
     d = less(points, members[first + 3], one)
-    by_b, by_c, by_d = _sixth(_cross(c, d)), _sixth(_cross(d, b)), _sixth(_cross(b, c))
+    by_b, by_c, by_d = scaled(_cross(c, d), 1 / 6), scaled(_cross(d, b), 1 / 6), scaled(_cross(b, c), 1 / 6)
     _put_corners(slope, first, by_b, by_c, by_d)
     return dot(by_d, d) - rest, (b, c, d)
 
@@ -213,8 +188,7 @@ def _put_corners(out, first, by_b, by_c, by_d):
     put(out, first + 1, by_b)
     put(out, first + 2, by_c)
     put(out, first + 3, by_d)
-    both = _sum(by_b, _sum(by_c, by_d))
-    put(out, first, (-both[0], -both[1], -both[2]))
+    put(out, first, scaled(plus(by_b, 1.0, plus(by_c, 1.0, by_d)), -1.0))
 
 
 @inlined
@@ -222,9 +196,9 @@ def _swelled_bent(first, sides, along, out):
     """Return the energy as `bent` of a volume, by its sides."""
     b, c, d = sides
     db, dc, dd = less(along, first + 1, first), less(along, first + 2, first), less(along, first + 3, first)
-    bent_b = _sixth(_sum(_cross(dc, d), _cross(c, dd)))
-    bent_c = _sixth(_sum(_cross(dd, b), _cross(d, db)))
-    _put_corners(out, first, bent_b, bent_c, _sixth(_sum(_cross(db, c), _cross(b, dc))))
+    bent_b = scaled(plus(_cross(dc, d), 1.0, _cross(c, dd)), 1 / 6)
+    bent_c = scaled(plus(_cross(dd, b), 1.0, _cross(d, db)), 1 / 6)
+    _put_corners(out, first, bent_b, bent_c, scaled(plus(_cross(db, c), 1.0, _cross(b, dc)), 1 / 6))
 
 
 @inlined
@@ -237,19 +211,12 @@ def _warped(starts, members, offsets, points, turn, shape, index, slope):
     rotation = _settled(matrix, turn, shape)
     total = NORM_GUARD
     for m in range(starts[index], starts[index + 1]):
-        particle = members[m]
-        q = row(offsets, m)
-        x = points[particle, 0] - mean[0] - dot(rotation[0], q)
-        y = points[particle, 1] - mean[1] - dot(rotation[1], q)
-        z = points[particle, 2] - mean[2] - dot(rotation[2], q)
-        total += x * x + y * y + z * z
-        put(slope, m, (x, y, z))
+        apart = plus(plus(row(points, members[m]), -1.0, mean), -1.0, _times(rotation, row(offsets, m)))
+        total += dot(apart, apart)
+        put(slope, m, apart)
     value = np.sqrt(total)
-    share = 1.0 / value
     for m in range(starts[index], starts[index + 1]):
-        slope[m, 0] *= share
-        slope[m, 1] *= share
-        slope[m, 2] *= share
+        put(slope, m, scaled(row(slope, m), 1.0 / value))
     return value, _turned_back(rotation, matrix)
 
 
@@ -288,20 +255,15 @@ def bent(layout, index, quaternion, left, slope, value, along, out):
         _swelled_bent(first, left, along, out)
         return
     rotation = _rotation_of(quaternion)
-    x, y, z, ahead = 0.0, 0.0, 0.0, 0.0
-    matrix = _NOTHING
+    matrix, mean, ahead = _NOTHING, _NOTHING[0], 0.0
     for m in range(first, last):
         way = row(along, m)
-        x, y, z = x + way[0], y + way[1], z + way[2]
+        mean = plus(mean, 1.0, way)
         ahead += dot(row(slope, m), way)
         matrix = _grown(matrix, way, row(layout.offsets, m))
-    share = 1.0 / (last - first)
-    x, y, z = x * share, y * share, z * share
-    moved = _turned_back(rotation, matrix)
-    spin, _ = _solved(left, _axial(moved))  # none where the rotation isn't determined
-    over = 1.0 / value
+    mean = scaled(mean, 1.0 / (last - first))
+    spin, _ = _solved(left, _axial(_turned_back(rotation, matrix)))  # none where the rotation isn't determined
     for m in range(first, last):
-        swept = _cross(spin, row(layout.offsets, m))
-        out[m, 0] = (along[m, 0] - x - dot(rotation[0], swept) - slope[m, 0] * ahead) * over
-        out[m, 1] = (along[m, 1] - y - dot(rotation[1], swept) - slope[m, 1] * ahead) * over
-        out[m, 2] = (along[m, 2] - z - dot(rotation[2], swept) - slope[m, 2] * ahead) * over
+        swept = _times(rotation, _cross(spin, row(layout.offsets, m)))
+        change = plus(plus(plus(row(along, m), -1.0, mean), -1.0, swept), -ahead, row(slope, m))
+        put(out, m, scaled(change, 1.0 / value))

@@ -113,9 +113,8 @@ def _paths(grips: Grips, body: Body) -> tuple[np.ndarray, np.ndarray]:
     rows = [grips] if isinstance(grips, Grip) else list(grips)
     gripped = rows[0].vertices.astype(np.int64)
     if any(not np.array_equal(row.vertices, gripped) or row.steps != rows[0].steps for row in rows):
-        raise ValueError(
-            "the grips hold other particles or last for other steps; give grips that differ in their path only."
-        )
+        problem = "the grips hold other particles or last for other steps;"
+        raise ValueError(f"{problem} give grips that differ in their path only.")
     if gripped.min(initial=0) < 0 or gripped.max(initial=-1) >= body.count:
         raise ValueError(f"the grip holds a particle that doesn't exist; there are {body.count}.")
     return gripped, body.rest[gripped] + np.stack([row.displacement.astype(np.float64) for row in rows])
@@ -124,8 +123,7 @@ def _paths(grips: Grips, body: Body) -> tuple[np.ndarray, np.ndarray]:
 def _states(values: np.ndarray, body: Body) -> np.ndarray:
     """Positions of all particles, shape [B, N, 3]."""
     found = np.asarray(values, np.float64)
-    if found.ndim == 2:
-        found = found[None]
+    found = found[None] if found.ndim == 2 else found
     if found.ndim != 3 or found.shape[1:] != body.rest.shape:
         raise ValueError(f"start has shape {np.shape(values)}; give {body.rest.shape}, or a batch of it.")
     if not np.isfinite(found).all():

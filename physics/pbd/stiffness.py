@@ -21,6 +21,11 @@ class Stiffness(NamedTuple):
     volume: float | np.ndarray = 1e10
     """Stiffness of volumes, one for all, or of a derivative shape [B] [N/m⁵]."""
 
+    @property
+    def total(self) -> np.ndarray:
+        """Derivatives by fields that served all B, of distances and of shapes, shape [2, N]."""
+        return np.stack(self[:2]).sum(axis=1)
+
 
 def spread(body: Body, fields: Stiffness) -> np.ndarray:
     """k of every constraint: the mean over its particles, shape [B, K], B = 1 for fields without that axis.

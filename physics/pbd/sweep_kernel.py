@@ -12,7 +12,7 @@ and by x: p - (w s/g) ∇C + ∇²C M⁻¹ (Δλ p - 2 (w s/g) Δλ ∇C).
 import numpy as np
 
 from palpate.physics.jit import inlined, kernel
-from palpate.physics.pbd.constraint_kernel import add, bent, dot, met, put, row, stretched, stretched_bent
+from palpate.physics.pbd.constraint_kernel import add, bent, dot, met, plus, put, row, scaled, stretched, stretched_bent
 
 
 @inlined
@@ -22,12 +22,11 @@ def _begun(before, inverse_mass, rest, foundation, gripped, places, points):
     The foundation is part of the inertia: both are squares of one particle's way, whose sum is one such square.
     """
     for particle in range(points.shape[0]):
-        back = foundation * inverse_mass[particle]
-        for axis in range(3):
-            points[particle, axis] = before[particle, axis] + back * (rest[particle, axis] - before[particle, axis])
+        here = row(before, particle)
+        back = plus(row(rest, particle), -1.0, here)
+        put(points, particle, plus(here, foundation * inverse_mass[particle], back))
     for index in range(gripped.shape[0]):
-        for axis in range(3):
-            points[gripped[index], axis] = places[index, axis]
+        put(points, gripped[index], row(places, index))
 
 
 @inlined
@@ -88,7 +87,7 @@ def _sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept,
 
 
 @kernel
-def sweep_forward(layout, weight, inverse_mass, rest, gripped, path, foundation, iterations, turn, motion):
+def sweep_forward(layout, weight, inverse_mass, rest, gripped, path, foundation, sweeps, turn, motion):
     """Step B bodies on.
 
     Args:
@@ -99,7 +98,7 @@ def sweep_forward(layout, weight, inverse_mass, rest, gripped, path, foundation,
         gripped: particles, [G].
         path: where they are after each step, [B, T, G, 3].
         foundation: f Δt².
-        iterations: sweeps a step.
+        sweeps: over all constraints a step.
         turn: quaternions of the shapes to begin at, [B, P, 4]; used up.
         motion: positions, the start filled in; out: after each step, [B, T + 1, N, 3].
     """
@@ -112,19 +111,14 @@ def sweep_forward(layout, weight, inverse_mass, rest, gripped, path, foundation,
             points = motion[b, t + 1]
             _begun(motion[b, t], inverse_mass, rest, foundation, gripped, path[b, t], points)
             multipliers[:] = 0
-            for _ in range(iterations):
+            for _ in range(sweeps):
                 _sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope, kept, False)
 
 
 @inlined
 def _directed(pull, particle, inverse_mass, step, twice, normal):
     """M⁻¹ (Δλ p - 2 (w s/g) Δλ ∇C) of one particle."""
-    share = inverse_mass[particle]
-    return (
-        share * (step * pull[particle, 0] + twice * normal[0]),
-        share * (step * pull[particle, 1] + twice * normal[1]),
-        share * (step * pull[particle, 2] + twice * normal[2]),
-    )
+    return scaled(plus(scaled(row(pull, particle), step), twice, normal), inverse_mass[particle])
 
 
 @inlined
@@ -144,7 +138,7 @@ def _distances_back(layout, weight, inverse_mass, kept, pull, pulled, slopes):
         one, other = members[2 * index], members[2 * index + 1]
         value, multiplier = kept[index, 0], kept[index, 1]
         normal = kept[index, 2], kept[index, 3], kept[index, 4]
-        back = -normal[0], -normal[1], -normal[2]
+        back = scaled(normal, -1.0)
         mobility = (inverse_mass[one] + inverse_mass[other]) * dot(normal, normal)
         by_step = pulled[index] + inverse_mass[one] * dot(normal, row(pull, one))
         by_step += inverse_mass[other] * dot(back, row(pull, other))
@@ -152,7 +146,7 @@ def _distances_back(layout, weight, inverse_mass, kept, pull, pulled, slopes):
         twice = 2 * by_value * step
         a = _directed(pull, one, inverse_mass, step, twice, normal)
         b = _directed(pull, other, inverse_mass, step, twice, back)
-        bent = stretched_bent(normal, value + rest[index], (a[0] - b[0], a[1] - b[1], a[2] - b[2]))
+        bent = stretched_bent(normal, value + rest[index], plus(a, -1.0, b))
         for particle, sign in ((one, 1.0), (other, -1.0)):
             add(pull, particle, sign * by_value, normal)
             add(pull, particle, sign, bent)
@@ -181,15 +175,13 @@ def _several_back(layout, weight, inverse_mass, kept, slope, along, change, pull
 
 
 @kernel
-def sweep_adjoint(
-    layout, weight, inverse_mass, rest, gripped, path, foundation, iterations, turn, motion, pulls, slopes
-):
+def sweep_adjoint(layout, weight, inverse_mass, rest, gripped, path, foundation, sweeps, turn, motion, pulls, slopes):
     """Go back through `sweep_forward` and gather the derivatives of Σ pulls·motion.
 
     Every step is repeated from the positions before it, with what its sweeps met kept; then they are gone back through.
 
     Args:
-        layout … iterations: as given to `sweep_forward`.
+        layout … sweeps: as given to `sweep_forward`.
         turn: quaternions to begin at, [B, P, 4]; used up.
         motion: what it wrote.
         pulls: derivatives by it, [B, T + 1, N, 3]; used up.
@@ -197,9 +189,9 @@ def sweep_adjoint(
     """
     batch, steps, count = motion.shape[0], motion.shape[1] - 1, motion.shape[2]
     constraints, members = layout.rest.shape[0], layout.members.shape[0]
-    distances = np.empty((iterations, layout.firsts[0], 5))
-    several = np.empty((iterations, constraints - layout.firsts[0], 15))
-    slope = np.empty((iterations, members, 3))
+    distances = np.empty((sweeps, layout.firsts[0], 5))
+    several = np.empty((sweeps, constraints - layout.firsts[0], 15))
+    slope = np.empty((sweeps, members, 3))
     along, change = np.empty((members, 3)), np.empty((members, 3))
     points = np.zeros((count, 3))
     multipliers, pulled = np.zeros(constraints), np.zeros(constraints)
@@ -207,19 +199,16 @@ def sweep_adjoint(
         for t in range(steps - 1, -1, -1):
             _begun(motion[b, t], inverse_mass, rest, foundation, gripped, path[b, t], points)
             multipliers[:] = 0
-            for index in range(iterations):
+            for index in range(sweeps):
                 kept = distances[index], several[index]
                 _sweep(layout, weight[b], inverse_mass, points, multipliers, turn[b], slope[index], kept, True)
             pull = pulls[b, t + 1]
             pulled[:] = 0
-            for index in range(iterations - 1, -1, -1):
+            for index in range(sweeps - 1, -1, -1):
                 back = pull, pulled, slopes[b]
                 _several_back(layout, weight[b], inverse_mass, several[index], slope[index], along, change, *back)
                 _distances_back(layout, weight[b], inverse_mass, distances[index], *back)
             for index in range(gripped.shape[0]):  # where they are doesn't depend on anything
-                for axis in range(3):
-                    pull[gripped[index], axis] = 0.0
-            for particle in range(count):
-                left = 1.0 - foundation * inverse_mass[particle]  # the rest of its way is the foundation's
-                for axis in range(3):
-                    pulls[b, t, particle, axis] += left * pull[particle, axis]
+                put(pull, gripped[index], (0.0, 0.0, 0.0))
+            for particle in range(count):  # the rest of its way is the foundation's
+                add(pulls[b, t], particle, 1.0 - foundation * inverse_mass[particle], row(pull, particle))

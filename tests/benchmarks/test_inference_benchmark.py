@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from benchmarks import inference
-from benchmarks.inference import NETWORKS, encoder_and_head, exported, frames_a_second
+from benchmarks.inference import NETWORKS, encoder_and_head, exported, timed
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.models.onnx_session import open_model
@@ -30,11 +30,15 @@ def test_networks_are_as_large_as_configured(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.acceptance
-def test_a_rate_is_that_of_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inference, "VIDEO_FRAMES", 16)
-    clip = write_clip(tmp_path / "clips", 1, SceneSettings(width=214, height=120, frames=16), seed=1).with_suffix(
-        ".mp4"
-    )
-    rate = frames_a_second(clip, tmp_path / "results", "full")
+def test_a_video_is_timed_as_its_record_says(tmp_path: Path) -> None:
+    settings = SceneSettings(width=214, height=120, frames=16)
+    clip = write_clip(tmp_path / "clips", 1, settings, seed=1).with_suffix(".mp4")
+    found = timed(ROOT, clip, tmp_path / "results")
     (record,) = (tmp_path / "results").rglob("run.json")
-    assert rate == pytest.approx(16 / json.loads(record.read_text())["timings_s"]["total"])
+    seconds = json.loads(record.read_text())["timings_s"]
+    assert found["frames/s"] == pytest.approx(16 / seconds["total"])
+    assert found["contact"] == seconds["contact"]
+    assert 0.5 < found["processor [s]"] < 1000
+    assert 50 < found["peak memory [MB]"] < 10_000
+    with pytest.raises(RuntimeError, match="status 2 on"):
+        timed(ROOT, tmp_path / "none.mp4", tmp_path / "results")

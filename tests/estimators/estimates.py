@@ -19,7 +19,7 @@ LOAD_STEPS = 64
 MESH = sheet(9, 9)
 PRESS = Press.at(40, contact_normal(MESH, 40), held(LOAD_STEPS, MECHANICS.steps))
 SEEN = Observation.of_point(40, 0.04 * np.arange(1, 9), np.zeros((8, 3)), 0.001)
-CONTACT = Interaction(MESH, PRESS, SEEN, MECHANICS.time_step)
+CONTACT = Interaction(MESH, PRESS, {"point": SEEN}, MECHANICS.time_step)
 THETA, COVARIANCE, INFORMATION = np.array([0.5, 0.06, -0.1]), np.diag([0.01, 0.04, 0.0025]), np.diag([100.0, 25, 400])
 ESTIMATE = PressResult(THETA, COVARIANCE, information=INFORMATION, noise=0.001, misfit=1.1, largest_misfit=1.5)
 GOOD = InteractionEstimate(7, 7, 0.28, 0.16, CONTACT, ESTIMATE, (np.array([0.0, 0.32]), np.array([0.0, -0.02])))

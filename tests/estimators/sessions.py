@@ -32,7 +32,9 @@ def clip_info(fps: float = 25.0, bridge_frames: int = 2) -> ClipInfo:
 def touched(mesh: Mesh, vertex: int, normal: np.ndarray, noise: float) -> FrameGeometry:
     """A contact at a vertex of a mesh."""
     point, pixel = mesh.vertices[vertex], tuple(mesh.pixels[vertex, ::-1].tolist())
-    return FrameGeometry(mesh, vertex, normal, point, point, 0.0, pixel, True, noise)
+    found = FrameGeometry(lambda: mesh, point, point, 0.0, pixel, True, noise)
+    vars(found).update(vertex=vertex, normal=normal)
+    return found
 
 
 def prepared_frame(index: int, status: str, geometry: FrameGeometry | None = None, **changes) -> PreparedFrame:

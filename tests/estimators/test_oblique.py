@@ -34,7 +34,7 @@ def test_the_angle_is_that_between_ray_and_direction_either_way(angle: float, si
     mesh = dataclasses.replace(MESH, vertices=vertices - vertices[12] + 0.5 * ray)
     direction = sign * (math.cos(turn) * ray + math.sin(turn) * across)
     seen = Observation.of_point(12, np.array([0.04]), np.zeros((1, 3)), 0.001)
-    contact = Interaction(mesh, Press.at(12, direction, np.ones(8)), seen, 0.005)
+    contact = Interaction(mesh, Press.at(12, direction, np.ones(8)), {"point": seen}, 0.005)
     assert oblique.view_angle(contact) == pytest.approx(angle, abs=1e-9)
 
 

@@ -10,8 +10,12 @@ from tests.inference_inputs import write_model
 def test_what_an_estimator_is_opened_with_is_in_its_description(name: str) -> None:
     usual = open_estimator(name).described
     assert (usual["name"], usual["onset"], usual["horizon"]) == (name, "between", None)
-    assert usual["observation"] is None  # depth where it is given, else light
-    for chosen in ({"horizon": 3}, {"onset": "stamp"}, {"observation": "depth"}):
+    assert not usual["observation"]  # depth where it is given, else light
+    for chosen in (
+        {"horizon": 3},
+        {"onset": "stamp"},
+        {"observation": {"network": "depth", "direct": ("depth",)}[name]},
+    ):
         assert open_estimator(name, **chosen).described == usual | chosen
 
 

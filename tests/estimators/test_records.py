@@ -15,7 +15,7 @@ def test_skill_is_against_no_motion() -> None:
     along = 0.001 * np.arange(1.0, 9)
     moved = along[:, None] * np.asarray(CONTACT.direction)
     seen = dataclasses.replace(CONTACT.observation, displacement=moved[None])
-    contact = dataclasses.replace(CONTACT, observation=seen)
+    contact = CONTACT.having(point=seen)
     for share in (0.5, 1.0, 0.0):
         simulated = np.array([0.0, 0.32]), np.array([0.0, 0.008 * share])
         assert dataclasses.replace(GOOD, interaction=contact, simulated=simulated).skill == pytest.approx(share)

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from palpate.physics import Mechanics, Press, contact_normal, grid_mesh, held
-from palpate.physics.msd.batch import DepthBatch, ObservationBatch
+from palpate.physics.msd.batch import ObservationBatch
+from palpate.physics.observation import Linearised
 
 HEIGHT, WIDTH = 40, 48
 MECHANICS = Mechanics(steps=24, load_steps=8)
@@ -62,11 +63,15 @@ def make_batch() -> Callable[..., dict[str, Any]]:
 class OnePixel:
     """What a camera sees that looks along z at one vertex."""
 
-    vertices = np.zeros(1, np.int64)
+    def __init__(self, vertex: int, times: list[float], change: float, noise: float) -> None:
+        self.vertices, self.times, self.change, self.noise = np.array([vertex]), np.array(times), change, noise
 
-    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def look(self, moved: np.ndarray, slopes: np.ndarray) -> None:
+        """Nothing depends on the motion."""
+
+    def linearise(self, moved: np.ndarray, slopes: np.ndarray) -> Linearised:
         """Change of its depth and the derivatives."""
-        return moved[..., 2], slopes[:, :, 2]
+        return Linearised((moved[:, 0, 2] - self.change) / self.noise, slopes[:, 0, 2] / self.noise)
 
 
 @pytest.fixture(scope="session")
@@ -81,15 +86,10 @@ def make_told_batch(make_batch) -> Callable[..., dict[str, Any]]:
             batch[f"observation_{side}"] = batch["observation_a"]
             batch[f"known_load_{side}"] = batch["load_a"]
             batch[f"contact_features_{side}"] = vectors
-            batch[f"dent_{side}"] = DepthBatch(
-                views=[OnePixel()] * 2,
-                vertices=torch.tensor([[load.vertex] for load in batch["load_a"]]),
-                steps=torch.tensor([[3, 7], [3, 0]]),
-                change=torch.tensor([0.01, 0.02]).expand(2, 2)[..., None].clone(),
-                weight=torch.tensor([[1.0, 1.0], [1.0, 0.0]])[..., None],
-                noise=torch.tensor([1e-3, 2e-3]),
-                common=torch.zeros(1, 1),
-            )
+            batch[f"dent_{side}"] = [
+                OnePixel(load.vertex, times, 0.01 * (index + 1), 1e-3 * (index + 1))
+                for index, (load, times) in enumerate(zip(batch["load_a"], ([0.02, 0.04], [0.02]), strict=True))
+            ]
         return batch
 
     return build

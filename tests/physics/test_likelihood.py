@@ -68,17 +68,13 @@ def test_what_was_not_seen_does_not_count():
     scale = np.broadcast_to((1 + np.arange(4))[:, None], hidden.shape)[kept]
     np.testing.assert_allclose(around.residual, full.residual[kept.ravel()] / scale, rtol=1e-12)
     np.testing.assert_allclose(around.jacobian, full.jacobian[kept.ravel()] / scale[:, None], rtol=1e-12)
-    path = simulate(theta_of(LOGS + 0.05), MESH, PRESS, MECHANICS, watch=POINTS, dtype=np.float64)[STEPS]
-    np.testing.assert_allclose(likelihood.simulated(LOGS + 0.05), np.swapaxes(path, 0, 1)[kept], rtol=1e-9)
     nothing = Observation(POINTS, TIMES, np.full_like(hidden, np.nan), NOISE)
     assert not Likelihood(MESH, PRESS, nothing, MECHANICS).information(LOGS).any()
 
 
 def test_points_add_up_and_every_instant_is_at_the_nearest_step():
     """Information of several points is the sum of each one's, and the whole field tells most."""
-    alone = sum(
-        Likelihood(MESH, PRESS, observed(points=POINTS[[index]]), MECHANICS).information(LOGS) for index in range(3)
-    )
+    alone = sum(Likelihood(MESH, PRESS, observed(points=POINTS[[i]]), MECHANICS).information(LOGS) for i in range(3))
     together = Likelihood(MESH, PRESS, observed(), MECHANICS).information(LOGS)
     np.testing.assert_allclose(together, alone, rtol=1e-9)
     field = Likelihood(MESH, PRESS, observed(points=np.arange(81)), MECHANICS).information(LOGS)

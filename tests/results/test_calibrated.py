@@ -63,23 +63,25 @@ def test_without_a_known_contact_the_rows_say_why(tmp_path: Path) -> None:
     assert told.record()["reason"] == told.rows[0]["detail"]
 
 
-def test_a_frame_s_force_has_an_upper_end_in_newtons_once_a_scale_is_known(tmp_path: Path) -> None:
+def test_a_frame_s_force_is_known_in_newtons_once_a_scale_is_known(tmp_path: Path) -> None:
     """0.1 units at frame 7 are 2 N; ratios do where the stiffness is known; without a scale nothing is told."""
     told = calibrated(tmp_path, force_N=2.0, force_sd_N=0.1, force_time_s=0.3)
-    assert told.upper_force(GOOD.estimate) is None
+    assert told.known_force(GOOD.estimate) is None
     told.length = UNKNOWN
-    assert told.upper_force(GOOD.estimate) is None
+    assert told.known_force(GOOD.estimate) is None
     told.add(GOOD)
     log_sd = math.sqrt(0.0025 + 0.0025 + 0.05**2)  # as of another contact
-    assert told.upper_force(GOOD.estimate) == pytest.approx(2.0 * math.exp(1.6449 * log_sd), rel=1e-4)
-    assert told.upper_force(dataclasses.replace(GOOD.estimate, misfit=2.0)) is None
-    assert told.upper_force(dataclasses.replace(GOOD.estimate, covariance=np.eye(3))) is None
+    assert told.known_force(GOOD.estimate).end(1) == pytest.approx(2.0 * math.exp(1.6449 * log_sd), rel=1e-4)
+    assert told.known_force(dataclasses.replace(GOOD.estimate, misfit=2.0)) is None
+    assert told.known_force(dataclasses.replace(GOOD.estimate, covariance=np.eye(3))) is None
     stiff = calibrated(tmp_path, stiffness=5.0)
     stiff.length = ClipLength(1.0, 1.0)
     together = np.diag([0.0025, 0.04, 0.0025]) + 4.0 * np.ones((3, 3))  # F/k_s alone is known
     ratio = dataclasses.replace(GOOD.estimate, covariance=together)
     assert "force" not in ratio.determined
-    assert stiff.upper_force(ratio) == pytest.approx(5.0 * 0.1 / 0.5 * math.exp(1.6449 * math.sqrt(0.005)), rel=1e-4)
+    assert stiff.known_force(ratio).end(1) == pytest.approx(
+        5.0 * 0.1 / 0.5 * math.exp(1.6449 * math.sqrt(0.005)), rel=1e-4
+    )
 
 
 def test_a_grip_s_force_is_told_by_the_known_part(tmp_path: Path) -> None:

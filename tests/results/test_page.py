@@ -159,9 +159,7 @@ def test_no_number_of_the_closing_table_is_lost_on_a_narrow_terminal(
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
-def test_a_page_that_can_not_be_written_or_found_is_one_sentence(
-    results, tmp_path, capsys, monkeypatch, number
-) -> None:
+def test_a_page_that_can_not_be_written_or_found_is_one_sentence(results, tmp_path, capsys, monkeypatch, number):
     shutil.copytree(results, copied := tmp_path / "copied")
 
     def refuse(path: Path, _: bytes) -> None:

@@ -70,7 +70,7 @@ def test_a_fit_shows_verdict_numbers_observation_simulation_and_release() -> Non
 def test_motion_is_drawn_along_the_force() -> None:
     """F < 0 presses against the normal, so motion against it is positive."""
     pressed = CONTACT.observation.moved(-0.02 * np.tile(CONTACT.direction, (8, 1)), 0.001)
-    seen = dataclasses.replace(GOOD, interaction=dataclasses.replace(CONTACT, observation=pressed))
+    seen = dataclasses.replace(GOOD, interaction=CONTACT.having(point=pressed))
     np.testing.assert_allclose(observed(*fits(seen))[1], np.full(8, 0.02), rtol=1e-6)
     pulled = dataclasses.replace(seen, estimate=dataclasses.replace(ESTIMATE, theta=np.array([0.5, 0.06, 0.1])))
     np.testing.assert_allclose(observed(*fits(pulled))[1], np.full(8, -0.02), rtol=1e-6)

@@ -83,10 +83,12 @@ def test_a_known_force_that_does_not_reach_a_pull_is_said(tmp_path: Path) -> Non
 
 def test_an_alarm_has_a_column_and_goes_on_until_its_run_ends(tmp_path: Path) -> None:
     alarm = ForceAlarm(1.0, "N", 1.0)
-    sure = frame_in_contact("determined", (0.25, 0.125, -1.0), (1.1, 1.1, 1.1), contact=True)
-    less = frame_in_contact("determined", (0.25, 0.125, -0.85), (1.1, 1.1, 1.1), contact=True)
+    sure, less, least = (
+        frame_in_contact("determined", (0.25, 0.125, force), (1.1, 1.1, 1.1), contact=True)
+        for force in (-1.2, -1.05, -0.85)
+    )
     with opened(tmp_path / "clip", alarm=alarm) as output:
-        for item in (ESTIMATE, sure, less, GOOD, less, dataclasses.replace(NONE_SEEN, contact=False)):
+        for item in (ESTIMATE, sure, less, GOOD, least, dataclasses.replace(NONE_SEEN, contact=False)):
             output.add(item) if item is GOOD else output.write(FRAME, item)
         output.finish({"program": PROGRAM})
     found = read_rows(tmp_path / "clip" / "parameters.csv")

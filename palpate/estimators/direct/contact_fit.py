@@ -4,12 +4,11 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import about_tissue
 from palpate.estimators.direct.patch import RADII, PatchMotion
 from palpate.estimators.direct.problem import (
@@ -18,6 +17,7 @@ from palpate.estimators.direct.problem import (
     Optimum,
     apart,
     combine,
+    dent_problem,
     distinct,
     evenly_spread,
     evidence_shares,
@@ -27,6 +27,8 @@ from palpate.estimators.direct.problem import (
 from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
 from palpate.estimators.estimate import PressCourse, PressResult
 from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
+from palpate.observations.base import JointLikelihood
+from palpate.physics.depth import REACH
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import Mechanics
@@ -41,7 +43,7 @@ holds more pliable tissue than there is; two thirds and more gave the most right
 
 
 def concluded(
-    problem: SequenceProblem, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None
+    problem: JointLikelihood, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None
 ) -> PressResult:
     """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
 
@@ -52,35 +54,48 @@ def concluded(
         combined: mean [D] and covariance [D, D] of all parameters by these, and the best of them.
         draws: of the posterior, which say them better; None = there are too few.
     """
-    motion, prior, (mean, spread, best) = problem.motion, box_information(box), combined
+    prior, (mean, spread, best) = box_information(box), combined
     judges = mean[None]
     if draws is not None:
         # Draws whose information is compared.
         mean, spread, judges = draws.mean, draws.covariance, draws.thinned(15)
     information = problem.information(mean)
     trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
-    delays = mean[motion.delays]
     # The model does not explain what lies farther from its best fit than this many σ.
     found = PressResult(
-        theta=motion.theta(mean),
+        **press_fields(problem, mean, best, box, mean),
         covariance=spread[:3, :3],
         information=information[:3, :3],
         expected_information=trusted,
-        noise=problem.sigma,
+        noise=problem.first.noise.total,
         misfit=problem.misfit(best.logs),
         largest_misfit=1.5,
-        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
-        course=PressCourse(
-            *(motion.within * delays).tolist(),
-            at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
-            shape=motion.shape(mean),
-            view_angle=view_angle(problem.contact),
-        ),
     )
     if not is_oblique(found):
         return found
     hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
     return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
+
+
+def press_fields(
+    problem: JointLikelihood, mean: np.ndarray, best: Optimum, box: np.ndarray, logs: np.ndarray
+) -> dict[str, Any]:
+    """Return fields of `PressResult` that every fit has: θ, and how and when the instrument pressed.
+
+    Args:
+        problem, mean, best: what was fitted, the mean [D] and the best optimum.
+        box: lower and upper ends of all parameters, shape [2, D].
+        logs: parameters whose delays count, shape [D].
+    """
+    motion, delays = problem.motion, logs[problem.motion.delays]
+    course = PressCourse(
+        *(motion.within * delays).tolist(),
+        at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
+        shape=motion.shape(problem.press(mean)),
+        view_angle=view_angle(problem.first.contact),
+    )
+    at_bound = np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND
+    return {"theta": motion.theta(mean), "at_bound": at_bound, "course": course}
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
@@ -103,7 +118,7 @@ NARROW = 0.1
 """Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
 
 
-def field_optima(problem: SequenceProblem, tissue: np.ndarray) -> list[Optimum]:
+def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
     """Optima of a sequence's fit, the best first; the problem has looked at that one.
 
     Args:
@@ -124,7 +139,7 @@ def field_optima(problem: SequenceProblem, tissue: np.ndarray) -> list[Optimum]:
     return optima
 
 
-def sampled(problem: SequenceProblem, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
+def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
     """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as in `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -147,15 +162,15 @@ def fit_press(
     chance (Schwarz 1978).
 
     Args:
-        contact, mechanics, within, noise: as in `SequenceProblem`.
+        contact, mechanics, within, noise: as in `JointLikelihood`.
         tissue: the box of φ, shape [2, 3].
         tries: how often the contact may be moved to the vertex at which the dent seems to lie.
     """
-    step = SequenceProblem(contact, mechanics, within, noise)
+    step = dent_problem(contact, mechanics, within, noise)
     plain = field_optima(step, tissue)
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
-    misfit, counted = step.misfit(best.logs), step.counted
+    misfit, counted = step.misfit(best.logs), step.first.counted
     if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
         return sampled(step, plain, tissue)
     elsewhere, aside = recentred(step, best.logs)
@@ -166,21 +181,21 @@ def fit_press(
             row, column = np.add(shape.offset, aside).tolist()
             shape = dataclasses.replace(shape, offset=(row, column))
             return dataclasses.replace(found, course=dataclasses.replace(found.course, shape=shape))
-    patch = SequenceProblem(contact, mechanics, within, noise, PatchMotion)
+    patch = dent_problem(contact, mechanics, within, noise, PatchMotion)
     shaped = sampled(patch, field_optima(patch, tissue), tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
     explained = counted * (misfit**2 - shaped.misfit**2)
     return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)
 
 
-def recentred(problem: SequenceProblem, logs: np.ndarray) -> tuple[Interaction, tuple[int, int]]:
+def recentred(problem: JointLikelihood, logs: np.ndarray) -> tuple[Interaction, tuple[int, int]]:
     """Move a contact to where its fitted dent lies on the observed one best: an instrument hides where it presses.
 
     Returns:
         The contact there, and by how many rows and columns it was moved.
     """
-    contact, sequence, side = problem.contact, problem.sequence, 2 * REACH + 1
-    simulated = problem.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
+    contact, sequence, side = problem.first.contact, problem.first.contact.observations["depth"], 2 * REACH + 1
+    simulated = problem.first.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
     wide = np.pad(sequence.change, ((0, 0), (ASIDE, ASIDE), (ASIDE, ASIDE)), constant_values=np.nan)
     pixels, found = contact.mesh.pixels, []
     for row, column in itertools.product(range(-ASIDE, ASIDE + 1), repeat=2):
@@ -193,29 +208,29 @@ def recentred(problem: SequenceProblem, logs: np.ndarray) -> tuple[Interaction, 
             found.append((float(np.square(left).mean()), abs(row) + abs(column), row, column, vertex, change))
     *_, row, column, vertex, change = min(found, key=lambda item: item[:2])
     load, shifted = dataclasses.replace(contact.load, vertices=vertex), dataclasses.replace(sequence, change=change)
-    return dataclasses.replace(contact, load=load, sequence=shifted), (row, column)
+    return dataclasses.replace(contact.having(depth=shifted), load=load), (row, column)
 
 
-def field_starts(problem: SequenceProblem, box: np.ndarray) -> np.ndarray:
+def field_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
     """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
     """
     low, high = box
-    motion, sequence = problem.motion, problem.sequence
+    motion, depth = problem.motion, problem.first
     candidates = evenly_spread(low, high)
     candidates[:, motion.centred] = 0
     delays = DELAYS if motion.within else np.zeros(1)
-    observed = problem.observed
-    still = problem.patches.covering(np.zeros((len(sequence.times), len(problem.patches.vertices), 3)))
+    observed = depth.observed
+    still = depth.patches.covering(np.zeros((len(depth.times), len(depth.vertices), 3)))
     misfits = np.empty(len(candidates))
     for index, candidate in enumerate(candidates):
         path, ratio = motion.coarse_path(candidate)
         step = ratio * motion.mechanics.time_step
-        sunk = np.concatenate([np.zeros((1, path.shape[1])), problem.patches.sunk(path.astype(np.float64))])
+        sunk = np.concatenate([np.zeros((1, path.shape[1])), depth.patches.sunk(path.astype(np.float64))])
         since = motion.times - motion.within * delays[:, None]
         places = np.clip(np.rint(since / step), 0, len(path)).astype(np.int64)
-        tried = problem.patches.shown(sunk[places.ravel()], np.tile(still, (len(delays), 1, 1)))
+        tried = depth.patches.shown(sunk[places.ravel()], np.tile(still, (len(delays), 1, 1)))
         tried = tried.reshape(len(delays), *observed.shape)
         forces, unexplained = suiting_forces(tried, observed, np.tile(candidate[2], len(tried)), low[2], high[2])
         best = int(np.argmin(unexplained))
@@ -223,7 +238,7 @@ def field_starts(problem: SequenceProblem, box: np.ndarray) -> np.ndarray:
     return apart(candidates, misfits, low, high, motion.starts)
 
 
-def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
+def raced(problem: JointLikelihood, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Refine starts [S, D] and keep the best, FITS at most, by successive halving.
 
     Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
@@ -235,15 +250,15 @@ def raced(problem: SequenceProblem, starts: np.ndarray, box: np.ndarray) -> np.n
         box: of all parameters, shape [2, D].
     """
     while len(starts) > FITS:
-        refined = []
+        best = []
         for logs in starts:
             problem.look(logs)
             # Evaluations of a start in a round, after which it is decided anew what the pixels show.
             found = find_optimum(problem, logs, box, 4)
             # What comes out of sight must not seem explained.
-            refined.append((found.cost - 0.5 * problem.seen.sum(), found.logs))
-        refined.sort(key=lambda pair: pair[0])
-        starts = np.array([logs for _, logs in refined[: len(refined) // 2]])
+            best.append((found.cost - 0.5 * problem.first.seen.sum(), found.logs))
+        best.sort(key=lambda pair: pair[0])
+        starts = np.array([logs for _, logs in best[: len(best) // 2]])
     return starts
 
 
@@ -267,14 +282,15 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
 
 
 def _sample_field(
-    problem: SequenceProblem, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float
+    problem: JointLikelihood, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float
 ) -> Draws:
     """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
-    error = problem.motion.finer(best.logs) - problem.motion.quick(best.logs)
+    motion, depth = problem.motion, problem.first
+    error = motion.finer(best.logs) - motion.quick(best.logs)
 
     def log_likelihood(logs: np.ndarray) -> np.ndarray:
-        left = [problem.left(problem.motion.quick(item) + error, item) for item in logs]
+        left = [depth.whitened(depth.change(motion.quick(item) + error, item) - depth.observed) for item in logs]
         return np.array([-0.5 * float(each @ each) / scale for each in left])
 
     return sample_posterior(log_likelihood, box, first_draws(optima, scale, prior))

@@ -1,7 +1,7 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
 The strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust region
-finds what explains the sequence of a dent best (`estimators.direct.field`), as a step on a vertex or as a press of any
+finds what explains the sequence of a dent best (`observations.depth`), as a step on a vertex or as a press of any
 shape (`estimators.direct.patch`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the
 delays of the press (`estimators.direct.motion`). Around these optima the posterior is sampled
 (`estimators.direct.sampling`), with a uniform prior on the box of these: mean and covariance of φ are the estimate.
@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -22,11 +22,13 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
 from palpate.estimators.direct.contact_fit import fit_press
+from palpate.estimators.direct.joint import fit_together
 from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import PressSettings, onset_error
-from palpate.estimators.runs import WHOLE, Run, RunSession, frame_estimate
+from palpate.estimators.runs import RECORDED, WHOLE, Run, RunSession, frame_estimate
+from palpate.observations.kinds import OBSERVATIONS
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
 from palpate.physics.msd.simulation import simulate
@@ -43,15 +45,22 @@ class DirectSettings(PressSettings):
         ValueError: a value out of range.
     """
 
-    observation: Literal["depth", "shading"] | None = None
-    """what is compared: the depth of all visible tissue around the contact (default where depth is given), or how the
-    tissue's light changes (default where depth is guessed)"""
+    observation: tuple[str, ...] = option((), choices=lambda: tuple(OBSERVATIONS.entries))
+    """what is compared, in one fit: depth of all visible tissue around the contact (default where depth is given),
+    shading, which is how the tissue's light changes (default where depth is guessed), or both"""
     smoothing: Annotated[float, 0, LARGEST] = option(SMOOTHING, metavar="PIXELS")
     """smooth the tissue's resting shape over this many grid pixels, which also measures the depth's noise"""
     # A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
     # which would be taken for motion of the tissue.
     noise: Annotated[float, 3e-5, LARGEST] | None = option(None, metavar="X")
     """noise of the depth [scene units] (default: as measured)"""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.observation, str):
+            object.__setattr__(self, "observation", (self.observation,))
+        super().__post_init__()
+        for name in self.observation:
+            OBSERVATIONS[name]
 
     def build(self) -> "DirectEstimator":
         """Open the estimator."""
@@ -73,10 +82,7 @@ class DirectEstimator(Estimator):
     name = "direct"
 
     def __init__(
-        self,
-        settings: DirectSettings = DirectSettings(),
-        mechanics: Mechanics = FITTED,
-        bounds: Bounds = RECOMMENDED,
+        self, settings: DirectSettings = DirectSettings(), mechanics: Mechanics = FITTED, bounds: Bounds = RECOMMENDED
     ) -> None:
         self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
         self.log_box = bounds.log_box
@@ -101,10 +107,9 @@ class DirectSession(RunSession):
     """One clip: a record for every frame, and a fit for every run of contact."""
 
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
-        settings = estimator.settings
-        super().__init__(clip, estimator.mechanics, settings.horizon)
-        self.by_light = settings.observation in (None, SHADING)
-        self.needs_light = settings.observation == SHADING
+        settings, names = estimator.settings, estimator.settings.observation
+        super().__init__(clip, estimator.mechanics, settings.horizon, tuple(dict.fromkeys((*RECORDED, *names))))
+        self.by_light, self.needs_light = names in ((), (SHADING,)), SHADING in names
         self.estimator = estimator
         self._within = onset_error(settings.onset, clip.fps)
 
@@ -128,6 +133,11 @@ class DirectSession(RunSession):
             NoEstimate: fewer than three observations, or no noise level.
         """
         estimator, within = self.estimator, self._within * contact.intervals
+        settings = estimator.settings
+        if settings.observation not in ((), ("depth",)):
+            what = self.mechanics, within, settings.noise, estimator.log_box
+            found = fit_together(contact, settings.observation, *what)
+            return found, simulated_motion(contact, found, self.mechanics)
         if contact.sequence is None:
             raise NoEstimate("The depth's noise isn't known; set --smoothing above 0, or give --noise.")
         count = min(len(contact.observation), len(contact.sequence.times))
@@ -136,7 +146,7 @@ class DirectSession(RunSession):
                 f"The tissue around the contact was followed over {count} frames after its onset; "
                 f"{LEAST_OBSERVATIONS} are needed."
             )
-        found = fit_press(contact, self.mechanics, within, estimator.settings.noise, estimator.log_box)
+        found = fit_press(contact, self.mechanics, within, settings.noise, estimator.log_box)
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:

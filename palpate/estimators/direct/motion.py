@@ -45,9 +45,7 @@ class PressMotion:
     parts = 1
     """Places of a picture's pixels along an axis, in which they may show other tissue."""
     astray, uneven = 0.0, 0.0
-    """Standard deviations of a whole frame's error where a pixel of the grid is the mean of several: how far aside what
-    pixels show lies, by axis [grid pixels], and of the depth of dents, as a share. Half of each variance is the same in
-    all frames."""
+    """Errors of the simulated dent, as in `DepthLikelihood`."""
     sampled = True
     """Whether some hundred draws are enough to sample the posterior of its parameters."""
 
@@ -149,25 +147,6 @@ class PressMotion:
     def _others(self, logs: np.ndarray) -> np.ndarray:
         """Derivatives of the displacements by all parameters besides φ and the delays, shape [N, M, 3, D']."""
         return np.empty((len(self.steps), len(self.vertices), 3, 0))
-
-    def model_errors(self, sunk: np.ndarray, averages: bool) -> np.ndarray:
-        """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
-
-        Dents as wholes lie aside, or are too deep: columns of every frame, then of all.
-
-        Args:
-            sunk: change of the depth of every pixel of a square, shape [N, P] [scene units].
-            averages: whether a pixel is the mean of several of the picture.
-        """
-        frames, pixels = sunk.shape
-        if not (averages and (self.astray or self.uneven)):
-            return np.zeros((pixels, frames, 0))
-        side = math.isqrt(pixels)
-        down, across = np.array(np.gradient(sunk.reshape(frames, side, side), axis=(1, 2)))
-        ways = [self.astray * down, self.astray * across, self.uneven * sunk]
-        common = math.sqrt(0.5) * np.stack([way.reshape(frames, pixels).T for way in ways], axis=-1)
-        each = common[:, :, None] * np.eye(frames)[:, :, None]
-        return np.concatenate([each.reshape(pixels, frames, -1), common], axis=2)
 
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """The displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""

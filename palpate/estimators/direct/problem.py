@@ -1,7 +1,7 @@
-"""One observed contact as a least-squares problem: its likelihood, where to start, what explains it best."""
+"""One observed contact as a least-squares problem: where to start, what explains it best."""
 
-import dataclasses
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +9,10 @@ from scipy.optimize import least_squares
 
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.motion import Kind, PressMotion
+from palpate.observations.base import JointLikelihood
+from palpate.observations.depth import DepthObservation
 from palpate.physics.identifiability import fisher_information
-from palpate.physics.likelihood import LeastSquares, Likelihood, Linearised
+from palpate.physics.likelihood import LeastSquares
 from palpate.physics.mechanics import Mechanics
 
 CANDIDATES = 128
@@ -25,49 +27,42 @@ APART = 0.1
 TOLERANCE = 1e-6
 
 
-class ContactProblem(Likelihood):
-    """A contact's likelihood, with coarse simulations to choose starts by.
+def dent_problem(
+    contact: Interaction,
+    mechanics: Mechanics,
+    within: float = 0.0,
+    noise: float | None = None,
+    kind: Kind = PressMotion,
+) -> JointLikelihood:
+    """A depth-change sequence under all parameters of a press; what the pixels show must be decided first (`look`).
 
     Args:
-        contact: one followed point, seen at every instant.
+        contact: with a depth-change sequence of one frame or more.
         mechanics: of the fits.
-        noise: σ of every observed coordinate [scene units].
-        within: as in `PressMotion`: delays of the press are parameters besides φ where it is above 0.
+        within: as in `PressMotion`.
+        noise: σ of every pixel in every frame [scene units]; None = as the depth-change sequence says.
         kind: of motion: what is fitted of the press.
     """
+    depth = DepthObservation(contact, noise, parts=kind.parts, astray=kind.astray, uneven=kind.uneven)
+    return JointLikelihood([depth], partial(kind, contact, mechanics, within=within))
 
-    def __init__(
-        self, contact: Interaction, mechanics: Mechanics, noise: float, within: float = 0.0, kind: Kind = PressMotion
-    ) -> None:
-        observation = dataclasses.replace(contact.observation, noise=np.full(3, noise))
-        super().__init__(contact.mesh, contact.load, observation, mechanics)
-        vertices = np.array([contact.vertex])
-        self.motion = kind(contact, mechanics, vertices, observation.times, within)
-        self.contact, self.sigma = contact, noise
-        self.moved = observation.displacement[0].astype(np.float64)
-        """Observed displacement, shape [N, 3]."""
-        self.direction = np.asarray(contact.direction, np.float64)
 
-    def starts(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Parameters of the candidates with the smallest misfit, their delays 0, shape [at most STARTS, D].
+def chosen_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
+    """Parameters with the smallest misfits among many, their delays in the middle, shape [at most STARTS, D].
 
-        Displacement is about proportional to the force, so each candidate is tried with the force that suits it best.
-        """
-        candidates = evenly_spread(low, high)
-        candidates[:, 3:] = 0
-        paths = self.coarse_paths(candidates)
-        candidates[:, 2], misfits = suiting_forces(paths, self.moved, candidates[:, 2], low[2], high[2])
-        return apart(candidates, misfits, low, high, STARTS)
-
-    def coarse_paths(self, logs: np.ndarray) -> np.ndarray:
-        """Motion at the observations for all parameters [n, D], with a coarse time step, shape [n, N, 3]."""
-        paths = [self.motion.coarse(item)[:, 0] for item in logs]
-        return np.array(paths, np.float64).reshape(-1, *self.moved.shape)
-
-    def _linearise(self, logs: np.ndarray) -> Linearised:
-        moved, slopes = (values[:, 0] for values in self.motion.at(logs))
-        residual = (moved - self.moved) / self.sigma
-        return Linearised(residual.ravel(), slopes.reshape(-1, len(logs)) / self.sigma)
+    Observations change about in proportion to the force, so each candidate is tried with the force that suits it best.
+    """
+    coarse, tried, misfits = problem.coarser(), [], []
+    candidates = evenly_spread(problem.press(box[0]), problem.press(box[1]))
+    candidates[:, problem.motion.centred] = 0
+    for logs in map(problem.started, candidates):
+        coarse.look(logs)
+        residual, jacobian = coarse.linearise(logs)
+        shown = jacobian[:, 2]  # by log |F|
+        logs[2:3], left = suiting_forces(shown[None], shown - residual, logs[2:3], *box[:, 2])
+        tried.append(logs)
+        misfits.append(float(left[0]))
+    return apart(np.array(tried), np.array(misfits), *box, STARTS)
 
 
 def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = CANDIDATES) -> np.ndarray:
@@ -137,7 +132,7 @@ def find_optimum(
     end = least_squares(
         problem.residual, start, problem.jacobian, tuple(box), method="trf", x_scale="jac",
         ftol=max(TOLERANCE, fall / max(value, fall)), xtol=TOLERANCE, gtol=TOLERANCE,
-        max_nfev=evaluations,
+        max_nfev=evaluations
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 

@@ -1,23 +1,24 @@
 """A contact's brightness fitted from start to verdict: starts, optimum, what it leaves open, estimate."""
 
-import copy
 import dataclasses
 import math
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.contact_fit import AT_BOUND, DELAY_AT_END
-from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.estimators.direct.contact_fit import press_fields
+from palpate.estimators.direct.motion import Kind, PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, distinct, evenly_spread, find_optimum
-from palpate.estimators.direct.shading import OTHERS, ShadingProblem
-from palpate.estimators.estimate import LightFit, NoEstimate, PressCourse, PressResult
+from palpate.estimators.estimate import LightFit, NoEstimate, PressResult
+from palpate.observations.base import JointLikelihood
+from palpate.observations.shading import OTHERS, ShadingObservation
 from palpate.physics.identifiability import NINETY, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
@@ -43,14 +44,6 @@ CLIPPED = 0.2
 """Residuals of starts count as if they were no larger [logarithm of light]."""
 FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
-USUALLY_LEFT, TOGETHER = 0.2, 40.0
-"""Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
-the more wrong is the law; coding errs as much where it is less."""
-LAW_ERROR, SCALE_ERROR = (0.19, 0.3), 0.25
-"""Standard deviations of what law, mesh and coding get wrong: of log k_d/k_s and log F/k_s, and common to all three,
-which inertia alone tells. Twelve synthetic clips are 0.21 and 0.29 off and, in the one that determines k_s, 0.13 there:
-`python -m data.synthetic --clips 12 --frames 32 --seed 47712`, their MP4 by `infer.py --estimator direct`, then
-`python -m benchmarks.compare_with_truth`. Of path-traced clips `python -m benchmarks.path_traced` says it."""
 RADIUS, RISING = 3.0, 0.05
 """Radius of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s /
 s]."""
@@ -58,6 +51,18 @@ Start = TypeVar("Start")
 Fitted = TypeVar("Fitted")
 WITHIN = 1.5
 """Frames by which a press may have begun, or ended, before or after the ones in which it was seen to."""
+
+
+def shading_problem(
+    contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
+) -> JointLikelihood:
+    """A brightness sequence under all parameters of a press on a plane; arguments as in `dent_problem`.
+
+    Args:
+        tilt: as in `ShadingObservation`.
+    """
+    shading = ShadingObservation(contact, tilt)
+    return JointLikelihood([shading], partial(kind, shading.press, mechanics, within=within))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices are small: its threads would wait for each other
@@ -83,23 +88,23 @@ def fit_shading(
     mechanics, within = MECHANICS.matched(frame_seconds), WITHIN * frame_seconds * contact.intervals
     # Frames with which starts are chosen.
     some = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
-    thin = dataclasses.replace(contact, shading=sequence.chosen(some))
-    problem = ShadingProblem(thin, mechanics, within, np.zeros(2))
-    refined = _on_threads(lambda start: _led(copy.copy(problem), start, FEW, ROUNDS[0]), _starts(problem))
-    if not refined:
+    thin = contact.having(shading=sequence.chosen(some))
+    problem = shading_problem(thin, mechanics, within, np.zeros(2))
+    best = _on_threads(lambda start: _led(problem.copy(), start, FEW, ROUNDS[0]), _starts(problem))
+    if not best:
         raise NoEstimate("The contact is too short to show in the light.")
-    logs = min(refined, key=lambda found: found[0])[1]
-    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    logs = min(best, key=lambda found: found[0])[1]
+    problem = shading_problem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
-    problem = ShadingProblem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
+    problem = shading_problem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[2])[1]
     # A press on a patch is not tried where a step on a point explains more.
-    if problem.skill < 0.85:
+    if problem.first.skill < 0.85:
         problem, logs = _patched(problem, logs, some)
-    return problem.press, _concluded(problem, logs), _simulated(problem, logs)
+    return problem.first.press, _concluded(problem, logs), _simulated(problem, logs)
 
 
-def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple[ShadingProblem, np.ndarray]:
+def _patched(point: JointLikelihood, logs: np.ndarray, some: np.ndarray) -> tuple[JointLikelihood, np.ndarray]:
     """A press on a patch, in any direction, whose force rises and falls, where it explains clearly more; else the step.
 
     Args:
@@ -107,10 +112,10 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
         logs: that explain the light best, shape [D].
         some: frames by which it is decided whether a patch is worth a fit.
     """
-    contact, motion = point.contact, point.motion
-    thin = dataclasses.replace(contact, shading=point.sequence.chosen(some))
-    what = motion.mechanics, point.within, point.sheet.tilt
-    step, patch = (ShadingProblem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
+    contact, motion = point.first.contact, point.motion
+    thin = contact.having(shading=point.first.sequence.chosen(some))
+    what = motion.mechanics, motion.within, point.first.sheet.tilt
+    step, patch = (shading_problem(thin, *what, kind) for kind in (PressMotion, PatchMotion))
     assert isinstance(patch.motion, PatchMotion)
     step.look(logs)
     deepest = np.linalg.norm(motion.coarse(logs[:-OTHERS]), axis=-1).max()
@@ -120,12 +125,12 @@ def _patched(point: ShadingProblem, logs: np.ndarray, some: np.ndarray) -> tuple
     press = patch.motion.parameters(logs[:-OTHERS], PressShape(RADIUS, (0.0, 0.0), changing, changing))
     press[2] += math.log(deepest / np.linalg.norm(patch.motion.coarse(press), axis=-1).max())
     misfit, found = _led(patch, np.concatenate([press, logs[-OTHERS:]]), MORE, 1)
-    if -misfit < step.skill:
+    if -misfit < step.first.skill:
         return point, logs
-    problem = ShadingProblem(contact, *what, PatchMotion)
+    problem = shading_problem(contact, *what, PatchMotion)
     misfit, found = _led(problem, found, MORE, ROUNDS[2])
     # A press on a patch is taken where it leaves less than this share of what a step on a point leaves.
-    return (problem, found) if 1 + misfit < 0.8 * (1 - point.skill) else (point, logs)
+    return (problem, found) if 1 + misfit < 0.8 * (1 - point.first.skill) else (point, logs)
 
 
 def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list[Fitted]:
@@ -134,35 +139,42 @@ def _on_threads(fit: Callable[[Start], Fitted], starts: Iterable[Start]) -> list
         return list(pool.map(fit, starts))
 
 
-def _simulated(problem: ShadingProblem, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _simulated(problem: JointLikelihood, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times since the onset, and the contact's simulated displacement along the force, [T] each."""
-    motion, press, step = problem.motion, problem.press, problem.motion.mechanics.time_step
+    motion, press, step = problem.motion, problem.first.press, problem.motion.mechanics.time_step
     load = motion.load(logs[:-OTHERS], step, motion.longest)
     path = simulate(motion.theta(logs), press.mesh, load, motion.mechanics, watch=np.array([press.vertex]))[:, 0]
     times = motion.within * logs[motion.delays.start] + step * np.arange(len(path) + 1)
     return times, np.concatenate([[0.0], path @ press.direction])
 
 
-def _starts(problem: ShadingProblem) -> np.ndarray:
+def _start(problem: JointLikelihood, press: np.ndarray, *aside_and_tilt: Any) -> np.ndarray:
+    """All parameters from those of a press, where its dent lies and how tissue tilts; the others as in their priors."""
+    start, given = problem.started(press), np.concatenate(aside_and_tilt)
+    start[len(press) : len(press) + len(given)] = given
+    return start
+
+
+def _starts(problem: JointLikelihood) -> np.ndarray:
     """All parameters of presses that explain the light best, among many, shape [S, D]."""
     low, high = problem.box(TISSUE)
-    middle = problem.darkest()
+    middle = problem.first.darkest()
     found, misfits = [], []
 
     def tried(start: np.ndarray, moved: np.ndarray) -> float:
-        left = problem.compared(problem.predicted(start, moved)[0])[0]
+        left = problem.first.compared(problem.first.predicted(start, moved)[0])[0]
         return float(np.square(np.clip(left, -CLIPPED, CLIPPED)).sum())
 
     # Points of a Sobol sequence over the box among which the starts are chosen.
     for candidate in evenly_spread(*TISSUE, 64):
         press = np.concatenate([candidate, np.zeros(len(low) - OTHERS - 3)])
         moved = problem.motion.coarse(press)
-        largest = np.linalg.norm(moved, axis=-1).max() / problem.sheet.distance
+        largest = np.linalg.norm(moved, axis=-1).max() / problem.first.sheet.distance
         for depth in DEPTHS:
             factor = depth / max(largest, 1e-12)
             force = press[2] + math.log(factor)
             if TISSUE[0, 2] < force < TISSUE[1, 2]:
-                start = problem.start(np.concatenate([press[:2], [force], press[3:]]), middle)
+                start = _start(problem, np.concatenate([press[:2], [force], press[3:]]), middle)
                 found.append(start)
                 misfits.append(tried(start, factor * moved))
     # Fits, begun at the candidates that explain the light best.
@@ -171,7 +183,7 @@ def _starts(problem: ShadingProblem) -> np.ndarray:
 
     def placed(start: np.ndarray) -> np.ndarray:
         moved = problem.motion.coarse(start[:-OTHERS])
-        starts = [problem.start(start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
+        starts = [_start(problem, start[:-OTHERS], place, tilt) for tilt in TILTS for place in places]
         left = np.array([tried(each, moved) for each in starts])
         # A tilt is taken where it leaves less than this share of what is left without one.
         left[: len(places)] *= 0.9
@@ -180,7 +192,7 @@ def _starts(problem: ShadingProblem) -> np.ndarray:
     return np.array(_on_threads(placed, chosen))
 
 
-def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
+def _led(problem: JointLikelihood, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
     """How badly parameters explain the light that some rounds of fits lead to, and those parameters."""
     box = problem.box(TISSUE)
     for _ in range(rounds):
@@ -188,41 +200,29 @@ def _led(problem: ShadingProblem, logs: np.ndarray, evaluations: int, rounds: in
         problem.look(logs)
         logs = find_optimum(problem, logs, box, evaluations, FALL).logs
     problem.look(logs)
-    return -problem.skill, logs
+    return -problem.first.skill, logs
 
 
-def _concluded(problem: ShadingProblem, logs: np.ndarray) -> PressResult:
+def _concluded(problem: JointLikelihood, logs: np.ndarray) -> PressResult:
     """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
-    box, motion = problem.box(TISSUE), problem.motion
+    box, shading = problem.box(TISSUE), problem.first
     prior = box_information(box)
     low, high = box[0] + 1e-9, box[1] - 1e-9
     starts = [np.clip(np.concatenate([logs[:3] + step, logs[3:]]), low, high) for step in (0.0, *FIRMER)]
-    optima = _on_threads(lambda start: find_optimum(copy.copy(problem), start, box, FEW, FALL), starts)
+    optima = _on_threads(lambda start: find_optimum(problem.copy(), start, box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
-    # What the law gets wrong, and what coding leaves out, shows in the share left and in correlated residuals.
-    left = max((1 - problem.skill) / USUALLY_LEFT, 1.0) ** 2
-    wrong = left * max(problem.together / TOGETHER, 1.0)
-    model_error = wrong * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
-    refuted = ""
-    # A press that leaves a larger share of the change of light, root mean square, is no explanation.
-    if problem.skill < 0.6:
-        refuted = (
-            f"A press leaves {1 - problem.skill:.0%} of how the tissue's brightness changes, so it isn't explained."
-        )
+    unexplained = f"A press leaves {1 - shading.skill:.0%} of how the tissue's brightness changes"
+    known = press_fields(problem, mean, best, box, best.logs)
+    known["course"] = dataclasses.replace(known["course"], view_angle=None)
     return PressResult(
-        theta=motion.theta(mean),
-        covariance=covariance[:3, :3] + model_error,
+        **known,
+        covariance=covariance[:3, :3] + shading.law_covariance,
         information=about_tissue(best.information, prior),
-        noise=problem.noise,
-        misfit=problem.noise / max(problem.sequence.noise, 1e-9),
-        at_bound=np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND,
-        course=PressCourse(
-            *(motion.within * best.logs[motion.delays]).tolist(),
-            at_end=bool((np.abs(best.logs[motion.delays]) > DELAY_AT_END).any()),
-            shape=motion.shape(mean[:-OTHERS]),
-        ),
+        noise=shading.noise,
+        misfit=shading.noise / max(shading.sequence.noise, 1e-9),
         light=LightFit(
-            1 - problem.skill, float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0
+            1 - shading.skill, float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0
         ),
-        refuted=refuted,
+        # A press that leaves a larger share of the change of light, root mean square, is no explanation.
+        refuted=f"{unexplained}, so it isn't explained." if shading.skill < 0.6 else "",
     )

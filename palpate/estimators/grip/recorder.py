@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.common.robust import affine_terms
-from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
@@ -23,8 +22,6 @@ LEAST_FRAMES = 3
 """Least number of moving frames to fit, and to judge."""
 MOST_KEPT = 32
 """Number of frames that are kept, evenly spread over the moving ones: memory does not grow with the run."""
-MOST_COMPARED = 8
-"""Number of these by which the grip elsewhere is judged."""
 
 
 class _Kept(NamedTuple):
@@ -43,8 +40,7 @@ class GripRecorder:
     """
 
     def __init__(self, first: PreparedFrame) -> None:
-        picture, labels = first.view
-        self._follower = PointFollower(picture, labels == TOOL)
+        self._follower = PointFollower(first.shown)
         self._start, self._kept, self._every = first.frame.time_s, list[_Kept](), 1
         self._seen, self._count = 0, 0
 
@@ -52,9 +48,8 @@ class GripRecorder:
         """Follow the points into the next frame; one without picture or labels is passed over."""
         if not frame.visible:
             return
-        picture, labels = frame.view
         follower = self._follower
-        follower.step(picture, labels == TOOL)
+        follower.step(frame.shown)
         if not frame.in_contact:
             return
         self._seen += 1
@@ -77,17 +72,14 @@ class GripRecorder:
         """
         half, points = len(self._kept) // 2, self._follower.points.astype(np.float64)
         if half < LEAST_FRAMES:
-            raise NoEstimate(
-                f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than "
-                f"{LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed."
-            )
+            problem = f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than"
+            raise NoEstimate(f"{problem} {LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed.")
         times, moved, own = (np.array(values, np.float64) for values in zip(*self._kept, strict=True))
         visible = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
         gripped = visible & (self._follower.distance < DRIVEN)
         if gripped.sum() < LEAST_GRIPPED:
-            raise NoEstimate(
-                f"{gripped.sum()} tissue points at the instrument are seen in all frames; {LEAST_GRIPPED} are needed."
-            )
+            problem = f"{gripped.sum()} tissue points at the instrument are seen in all frames;"
+            raise NoEstimate(f"{problem} {LEAST_GRIPPED} are needed.")
         terms = affine_terms(points)
         # Known at all points that are seen, and affine.
         background = np.linalg.lstsq(terms[visible], np.hstack([*(moved - own)[:, visible]]), rcond=None)[0]
@@ -121,9 +113,10 @@ class GripRecorder:
         gripped = np.zeros(len(points), bool)
         gripped[np.argsort(apart)[:count]] = True
         moving = own[[GripFrame(frame, gripped).moves for frame in own]]
-        half = min(len(moving), MOST_COMPARED) // 2
+        count = min(len(moving), 8)
+        half = count // 2
         if half < LEAST_FRAMES:
             return -math.inf
-        used = moving[np.linspace(0, len(moving) - 1, min(len(moving), MOST_COMPARED)).round().astype(int)]
+        used = moving[np.linspace(0, len(moving) - 1, count).round().astype(int)]
         still = np.zeros((len(used), 3, 2))
         return fit_sheets(points, self._follower.spacing, gripped, used, still).skill(half)

@@ -10,7 +10,7 @@ import numpy as np
 
 from palpate.data.contact.features import FEATURES
 from palpate.data.contact.interaction import Interaction, InteractionBuilder
-from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features, network_noise
+from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, network_noise
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.windows import FrameWindow
@@ -23,6 +23,7 @@ from palpate.estimators.onset import PressSettings, onset_error
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.runs import WHOLE, Run, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
+from palpate.observations.depth import DepthObservation
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
@@ -72,11 +73,7 @@ class NetworkEstimator(ModelEstimator):
     live = True
     model: PosteriorModel
 
-    def __init__(
-        self,
-        model: PosteriorModel,
-        settings: NetworkSettings = NetworkSettings(),
-    ) -> None:
+    def __init__(self, model: PosteriorModel, settings: NetworkSettings = NetworkSettings()) -> None:
         super().__init__(model)
         if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
             raise ModelFileError(f"{model.path} takes another contact's vector than this version has; train it anew.")
@@ -185,7 +182,7 @@ class NetworkSession(RunSession):
         """
         estimator, within = self.estimator, self._onset_error * contact.intervals
         with self.timed("network"):
-            features = dent_features(contact, within)[None]
+            features = DepthObservation.features(contact, within)[None]
             mean, covariance, bound = estimator.model(features, None if depth is None else depth[None])
         with self.timed("simulation"):
             whole = estimator.judged(contact, self.mechanics, within, mean[0], covariance[0], bound[0])

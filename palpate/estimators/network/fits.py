@@ -13,7 +13,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from palpate.data.contact.depth_sequence import smooth_errors
 from palpate.data.contact.features import FRAME_RATE, SLOTS, contact_surroundings, join_features, slot_times
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import (
@@ -26,9 +25,13 @@ from palpate.data.contact.sequence_features import (
 )
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.problem import ContactProblem, find_optimum
+from palpate.estimators.direct.motion import PressMotion
+from palpate.estimators.direct.problem import chosen_starts, dent_problem, find_optimum
+from palpate.observations.base import JointLikelihood
+from palpate.observations.point import PointObservation
+from palpate.physics.depth import smooth_errors
 from palpate.physics.mechanics import RECOMMENDED, Mechanics
+from palpate.physics.observation import CommonErrors
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """The simulator of the fits."""
@@ -107,23 +110,30 @@ class Fits(DepthSequences):
         return cls(spacing=spacing, within=np.asarray(within, np.float64), **found)
 
 
-def motion_slopes(problem: ContactProblem, logs: np.ndarray) -> np.ndarray:
+def point_problem(contact: Interaction, within: float = 0.0) -> JointLikelihood:
+    """The motion of a contact's point under all parameters of a press; `within` as in `PressMotion`."""
+    return JointLikelihood(
+        [PointObservation(contact, NOMINAL_NOISE)], functools.partial(PressMotion, contact, MECHANICS, within=within)
+    )
+
+
+def motion_slopes(problem: JointLikelihood, logs: np.ndarray) -> np.ndarray:
     """Derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene units]."""
     jacobian = NOMINAL_NOISE * problem.jacobian(logs).reshape(-1, 3, len(logs))
-    return -np.einsum("tdp,d->tp", jacobian, problem.direction)
+    return -np.einsum("tdp,d->tp", jacobian, problem.first.contact.direction)
 
 
-def _explained(problem: ContactProblem, start: np.ndarray) -> tuple[np.ndarray, float]:
+def _explained(problem: JointLikelihood, start: np.ndarray) -> tuple[np.ndarray, float]:
     """Parameters that explain a motion, from a start [3] or, where that fails, from several; and the RMS residual."""
     low, high = box = problem.motion.box(BOUNDS.log_box)
 
     def fitted(begin: np.ndarray) -> tuple[float, np.ndarray]:
         end = find_optimum(problem, begin, box)
-        return NOMINAL_NOISE * math.sqrt(2 * end.cost / len(problem.moved)), end.logs
+        return NOMINAL_NOISE * math.sqrt(2 * end.cost / len(problem.first.times)), end.logs
 
     begin = np.concatenate([start, np.zeros(len(low) - len(start))])
     rms, best = fitted(np.clip(begin, low + 1e-3, high - 1e-3))
-    for begin in problem.starts(low, high) if rms > EXPLAINED else ():
+    for begin in chosen_starts(problem, box) if rms > EXPLAINED else ():
         rms, best = min((rms, best), fitted(begin), key=itemgetter(0))
         if rms <= EXPLAINED:
             break
@@ -146,12 +156,13 @@ def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:
         task: the contact without noise, the start of the fit [3], and the largest delay of its instants [s].
     """
     contact, start, within = task
-    problem = ContactProblem(contact, MECHANICS, NOMINAL_NOISE, within)
+    problem = point_problem(contact, within)
     best, rms = _explained(problem, start)
-    field = SequenceProblem(contact, MECHANICS, within, NOMINAL_NOISE)
+    field = dent_problem(contact, MECHANICS, within, NOMINAL_NOISE)
     field.look(best)
-    tangent = np.where(field.seen[..., None], field.tangent(best)[1], 0.0)
-    change = np.where(field.seen, field.observed, np.nan)
+    depth = field.first
+    tangent = np.where(depth.seen[..., None], depth.tangent(*field.motion.at(best)), 0.0)
+    change = np.where(depth.seen, depth.observed, np.nan)
     amounts, factors = shape_amounts(change)
     slopes = np.einsum("tij,tkj,pk,tpd->tid", factors, factors, dent_shapes(), tangent)
     middle = -(motion_in_sequence(contact).astype(np.float64) @ contact.direction)
@@ -171,7 +182,7 @@ ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
 ROUNDING_NOISE = LEVEL / math.sqrt(12)
 """Standard deviation of the rounding error [scene units]."""
 REST_SHARE = 0.1
-"""Error of the rest position, in σ: the rest surface is an average of many depths (`estimators.direct.error_model`)."""
+"""Error of the rest position, in σ: the rest surface is an average of many depths (`physics.depth`)."""
 CUT_SHARES = 0.5, 0.2
 """Shares of samples that end under the tool, as in live frames, and anywhere before the second is over."""
 DELAY_RANGE = 2.0
@@ -318,16 +329,12 @@ def sequence_information(
         known: whether a slot is observed, shape [B, SLOTS].
     """
     whiten = np.linalg.inv(factors) * (known / noise[:, None])[..., None, None]
-    smooth = noise[:, None, None, None] * smooth_share()
-    parts = slopes, errors[..., None], np.broadcast_to(smooth, (*known.shape, SHAPES, SHAPES))
-    columns = (whiten @ np.concatenate(parts, axis=-1)).reshape(len(known), -1, slopes.shape[-1] + 1 + SHAPES)
-    products = columns.transpose(0, 2, 1) @ columns
-    count = slopes.shape[-1]
-    still = products[:, -SHAPES:, -SHAPES:] + np.eye(SHAPES)
-    common = np.linalg.solve(still, products[:, -SHAPES:, : count + 1])
-    left = products[:, :count, : count + 1] - products[:, :count, -SHAPES:] @ common
-    information, pull = left[..., :count], left[..., count]
-    return information, pull
+    parts, count = np.concatenate([slopes, errors[..., None]], axis=-1), slopes.shape[-1]
+    still = whiten @ (noise[:, None, None, None] * smooth_share())
+    columns, common = (each.reshape(len(known), -1, each.shape[-1]) for each in (whiten @ parts, still))
+    found = CommonErrors(common).marginalised(columns)
+    products = found.swapaxes(1, 2) @ found
+    return products[:, :count, :count], products[:, :count, count]
 
 
 def without_delays(information: np.ndarray, pull: np.ndarray, delays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,12 +12,10 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import gammainccinv
 
-from palpate.data.contact.depth_sequence import REACH, DepthSequence
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import Patches
-from palpate.estimators.direct.field import MOVED, WALL
 from palpate.estimators.direct.motion import between_steps
 from palpate.estimators.direct.problem import DELAYS
+from palpate.physics.depth import MOVED, REACH, WALL, DepthLikelihood, DepthSequence
 from palpate.physics.identifiability import fisher_information
 from palpate.physics.load import held
 from palpate.physics.mechanics import Mechanics, theta_of
@@ -65,38 +63,34 @@ class _PixelComparison:
     """The pixels around the contact that move; names as in `_PointComparison`."""
 
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
-        patches = Patches(contact.mesh, contact.vertex, sequence.size, PIXEL_RADIUS)
-        self._patches, self.times, self._noise = patches, sequence.times, sequence.noise.total
+        # Most frames, evenly chosen, that are compared.
+        frames = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
+        self._depth = DepthLikelihood(
+            contact.mesh, contact.vertex, sequence.chosen(frames), reach=PIXEL_RADIUS, partial=WALL
+        )
+        self.times, self.compared_times = sequence.times, self._depth.times
         self.blurs = np.zeros((0, 2))
         """Change of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest
         displacements."""
+        self.vertices = np.append(contact.vertex, self._depth.vertices)
         near = np.s_[REACH - PIXEL_RADIUS : REACH + PIXEL_RADIUS + 1]
-        self._change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
-        self.vertices = np.append(contact.vertex, patches.vertices)
+        change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
         # Pixels that are never hidden; together they show nearly the same tissue all the time.
-        own = patches.own()
-        clear = np.isfinite(self._change).all(axis=0) & (own >= 0)
-        self._shown, self.observed = own[clear], np.full(len(sequence.times), np.nan)
+        own = self._depth.patches.own()
+        clear = np.isfinite(change).all(axis=0) & (own >= 0)
+        self._shown, self.observed = own[clear], np.full(len(change), np.nan)
         if clear.any():
-            self.observed = self._change[:, clear].mean(axis=1)
-        # Most frames, evenly chosen, that are compared.
-        frames = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
-        self.compared_times, self._change = sequence.times[frames], self._change[frames]
+            self.observed = change[:, clear].mean(axis=1)
 
     def signal(self, path: np.ndarray) -> np.ndarray:
-        return self._patches.sunk(path[:, 1 + self._shown], self._shown).mean(axis=1)
+        return self._depth.patches.sunk(path[:, 1 + self._shown], self._shown).mean(axis=1)
 
     def residual(self, moved: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        patches, moved, rates = self._patches, moved[:, 1:], rates[:, 1:]
-        covering = patches.covering(moved)
-        both = np.concatenate([patches.sunk(moved)[..., None], patches.sunk_slopes(moved, rates)], axis=-1)
-        shown = patches.shown(both, covering)
-        change = shown[..., 0]
-        residual = change - self._change
-        used = np.isfinite(residual) & (np.abs(change) > MOVED * self._noise).any(axis=0)
-        sigma = np.hypot(self._noise, WALL * patches.steepness(moved))[used]
-        self.blurs = patches.blurs(moved, covering).swapaxes(0, 1)[used] / sigma[:, None]
-        return residual[used] / sigma, shown[used, 1:] / sigma[:, None]
+        depth, motion = self._depth, (moved[:, 1:], rates[:, 1:])
+        change = depth.see(motion[0])
+        used = depth.seen & (np.abs(change) > MOVED * depth.noise.total).any(axis=0)
+        self.blurs = depth.singly(depth.blurs.swapaxes(0, 1), used)
+        return depth.singly(change - depth.observed, used), depth.singly(depth.tangent(*motion), used)
 
 
 _Comparison = _PointComparison | _PixelComparison

@@ -131,7 +131,7 @@ class Trainer:
         index = int(self.generator.integers(len(self.contacts)))
         contact, noise = self.contacts[index].interaction, math.exp(self.generator.uniform(*np.log(NOISE)))
         error = self.generator.normal(0, noise, len(contact.observation))[:, None] * contact.direction
-        observed = dataclasses.replace(contact, observation=contact.observation.moved(contact.moved + error, noise))
+        observed = contact.having(point=contact.observation.moved(contact.moved + error, noise))
         return observed, self.features(observed, index)
 
     def features(self, contact: Interaction, index: int) -> np.ndarray:
@@ -167,7 +167,7 @@ class Trainer:
         """
         contacts = [contact.interaction for contact in self.contacts]
         quiet = [
-            self.features(dataclasses.replace(item, observation=item.observation.moved(item.moved, NOISE[0])), index)
+            self.features(item.having(point=item.observation.moved(item.moved, NOISE[0])), index)
             for index, item in enumerate(contacts)
         ]
         with torch.no_grad():

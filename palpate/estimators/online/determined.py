@@ -31,8 +31,6 @@ from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.simulation import Stepping
 from palpate.physics.pbd.stiffness import Stiffness
 
-TIME_STEPS = (1.0, 2.0, 4.0, 8.0)
-"""A frame's time over √(m/k): from tissue that hangs back to tissue that is at rest in every frame."""
 FOUNDATIONS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Over the stiffness of distances."""
 BENDINGS = (0.02, 0.3, 1.0)
@@ -40,8 +38,7 @@ BENDINGS = (0.02, 0.3, 1.0)
 tried."""
 Answer = Callable[[np.ndarray], np.ndarray]
 """From values of the particles to values of points."""
-ROUGHNESS = 0.55
-"""Standard deviation of the difference of log stiffness between neighbouring knots, before anything is observed."""
+
 LEAST = 0.2
 """Frames whose points move less tell nothing [px]."""
 
@@ -53,8 +50,7 @@ edges of 8.9 mm. It goes with the inverse of their fourth power, since a volume'
 
 def uniform(body: Body, distance: float, shape: float) -> Stiffness:
     """Return one stiffness everywhere; of volumes as the paper's, in whatever unit."""
-    edge = float(body.layout.rest[body.kinds[0]].mean())
-    return Stiffness(np.full(body.count, distance), np.full(body.count, shape), VOLUME / edge**4)
+    return Stiffness(np.full(body.count, distance), np.full(body.count, shape), VOLUME / body.edge**4)
 
 
 class Fit(NamedTuple):
@@ -88,7 +84,8 @@ class Fitting:
         shapes = stiffness * np.repeat(np.array(bendings)[:, None], objective.body.count, axis=1)
         fields = Stiffness(np.full_like(shapes, stiffness), shapes, begun.volume)
         self._fits, self._groups = [None], [(objective, begun)]
-        for time_step, foundation in product(TIME_STEPS, FOUNDATIONS):
+        # A frame's time over √(m/k): from tissue that hangs back to tissue that is at rest in every frame.
+        for time_step, foundation in product((1.0, 2.0, 4.0, 8.0), FOUNDATIONS):
             own = [Fit(time_step, foundation, bending, np.nan) for bending in bendings]
             stepping = own[0].stepping(objective.stepping, stiffness)
             self._groups.append((dataclasses.replace(objective, stepping=stepping), fields))
@@ -127,25 +124,11 @@ class Fitting:
         return fit._replace(error=held_out) if fit is not None and explained else None
 
 
-LEARNT = 0.5
-"""What is known must be surer than before anything was observed, by this factor: three quarters of what is said of it,
-at least, then come from what was observed."""
-SPREAD = 1.0
-"""Standard deviation of log stiffness at a knot before anything is seen, about its level."""
-LEVEL = 3.0
-"""And of the level itself about the stiffness to begin with, which is as good as unknown: with 0 in its place the map
-depended on that. On twelve drawn pulls 0, 1, 2 and 3 made no difference to how often intervals hold."""
-LONGEST = 0.3
-"""Longest step of a knot's logarithm a frame."""
 STEPPED = "time_step", "foundation"
-"""Uncertain parameters of `Stepping`: what is known of them no better than SPREAD, too, since first frames tell them in
-large steps."""
+"""Uncertain parameters of `Stepping`: what is known of them no better than of a knot, too, since first frames tell them
+in large steps."""
 CHANGE = 0.01
 """Change of log stiffness, for finite differences."""
-ROUNDS = 4
-"""Rounds of finding the likeliest values and, with them, the noise."""
-NOISE = 0.3
-"""Followed points err by as much at least, by axis [px]."""
 
 
 class Determined:
@@ -168,7 +151,7 @@ class Determined:
         others = (dataclasses.replace(objective.stepping, **{name: value}) for name, value in own.items())
         self._others = [dataclasses.replace(objective, stepping=stepping) for stepping in others]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
-        self._begun = np.log(begun.distance), np.log(begun.shape)
+        self._begun = np.log(begun[:2])
         self._cell = cells(stretch).argmax(axis=1)
         self._carried = np.repeat(rest[None], total + 1, axis=0)
         self._squares = np.zeros((stretch.shape[1], total + 1, total + 1))
@@ -230,28 +213,28 @@ class Determined:
             self._shared[one] += count * means @ means.T
             self._points[one] += count
 
-    def likeliest(self, fields: Stiffness) -> Stiffness:
+    def likeliest(self, fields: Stiffness, longest: float = 0.3) -> Stiffness:
         """A Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
 
-        To what is likeliest of them if time step and foundation stay as they are, at most LONGEST a knot.
+        To what is likeliest of them if time step and foundation stay as they are, at most so far in a knot's logarithm.
         """
         covariance, likeliest = self._posterior(fields)
         knots, stepped = slice(-len(STEPPED)), slice(-len(STEPPED), None)
         others = np.linalg.solve(covariance[stepped, stepped], likeliest[stepped])
         way = (likeliest - covariance[:, stepped] @ others - self._projected @ self._logs(fields).ravel())[knots]
-        way *= min(1.0, LONGEST / max(float(np.abs(way).max()), 1e-300))
+        way *= min(1.0, longest / max(float(np.abs(way).max()), 1e-300))
         # As if they had been led by these fields all along: what remains of former ones would count again.
         slopes = (self._carried[1 : len(way) + 1] - self._carried[0]) / CHANGE
         self._carried = self._carried + np.tensordot(way, slopes, 1)
-        bounds = self._objective.bounds.distance, self._objective.bounds.shape
-        changed = zip(fields[:2], self._shares[:, :, knots] @ way, bounds, strict=True)
-        return Stiffness(*(np.minimum(own * np.exp(by), bound) for own, by, bound in changed), fields.volume)
+        changed = np.stack(fields[:2]) * np.exp(self._shares[:, :, knots] @ way)
+        return Stiffness(*np.minimum(changed, self._objective.bounds.both), fields.volume)
 
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
 
-        Known is where the knots around tell it to LIMIT, surer by LEARNT than before anything was observed, and the
-        field is no farther from the likeliest value than that deviation: steps have not got there yet elsewhere.
+        Known is where the knots around tell it to LIMIT, and twice as surely as before anything was observed (three
+        quarters of what is said, at least, then come from what was observed). The field is to be no farther from the
+        likeliest value than that deviation: steps have not got there yet elsewhere.
         Deviations include what the knots leave open, from one to the next a random walk. Nothing is known where places
         that would be differ by less than their deviations, which doesn't tell which of them is stiffer.
 
@@ -262,14 +245,15 @@ class Determined:
         covariance, likeliest = self._posterior(fields)
         logs = self._logs(fields)
         shares, logs = (each - each[:, among].mean(axis=1, keepdims=True) for each in (self._shares, logs))
-        expected = SPREAD * np.sqrt(np.square(shares).sum(axis=2))
+        expected = np.sqrt(np.square(shares).sum(axis=2))
         sd = np.sqrt(np.einsum("fnk,kl,fnl->fn", shares, covariance, shares))
         apart = np.abs(logs - shares @ likeliest)
-        known = among & (sd < LIMIT) & (sd <= LEARNT * expected) & (apart <= sd)
+        known = among & (sd < LIMIT) & (sd <= 0.5 * expected) & (apart <= sd)
         for values, deviations, which in zip(logs, sd, known, strict=True):
             if which.sum() < 3 or values[which].std() < np.median(deviations[which]):  # three make a triangle
                 which[:] = False
-        stray = ROUGHNESS * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
+        # Standard deviation of the difference of log stiffness between neighbouring knots, before anything is observed.
+        stray = 0.55 * np.sqrt((self._shares * (1 - self._shares)).sum(axis=2))
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:
@@ -278,20 +262,23 @@ class Determined:
         The noise is what these leave of the motion, not what the fields of each frame did, which had to be learnt.
         """
         of_field = self._shares.any(axis=1).astype(float)
-        prior = np.linalg.inv(SPREAD**2 * np.eye(self._shares.shape[2]) + LEVEL**2 * of_field.T @ of_field)
+        # Log stiffness at a knot is known to 1 about its level. The level about the stiffness to begin with is as good
+        # as unknown: with 0 in place of 3 the map depended on that. On twelve drawn pulls 0, 1, 2 and 3 made no
+        # difference to how often intervals hold.
+        prior = np.linalg.inv(np.eye(self._shares.shape[2]) + 3.0**2 * of_field.T @ of_field)
         precision, likeliest = prior, self._projected @ self._logs(fields).ravel()
         some = self._points > 0
         squares, shared, points = self._squares[some], self._shared[some], self._points[some]
-        for _ in range(ROUNDS if some.any() else 0):
+        for _ in range(4 if some.any() else 0):  # the likeliest values and, with them, the noise
             way = np.append(1.0, -likeliest)
             left, common = (np.maximum(np.einsum("i,cij,j->c", way, each, way), 0.0) for each in (squares, shared))
             # Of a cell's points in a frame so many err together, and so do all frames.
             together = np.maximum(points * common.sum() / max(left.sum(), 1e-300), self._frames)
-            weight = 1 / (together * (left / (self._axes * points) + NOISE**2))
+            weight = 1 / (together * (left / (self._axes * points) + 0.3**2))  # points err by 0.3 px at least, by axis
             precision = prior + np.einsum("c,ckl->kl", weight, squares[:, 1:, 1:])
             likeliest = np.linalg.solve(precision, weight @ squares[:, 1:, 0])
         return np.linalg.inv(precision), likeliest
 
     def _logs(self, fields: Stiffness) -> np.ndarray:
         """Log stiffness of distances and of shapes, over that to begin with, shape [2, N]."""
-        return np.stack([np.log(fields.distance), np.log(fields.shape)]) - self._begun
+        return np.log(fields[:2]) - self._begun

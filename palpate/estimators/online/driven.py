@@ -19,10 +19,6 @@ from palpate.estimators.result import LEAST_SKILL
 
 Cloud = tuple[np.ndarray, np.ndarray]
 """Points of the tissue, shape [m, 3] [scene units], and particles that no tool hides, shape [n]."""
-LEAST_GRIPPED = 3
-"""Fewer points followed near the instrument don't tell how it moves the tissue."""
-PAST = MOST_FITTED
-"""Frames of the grip's way from which the motion to come is simulated: how it moved before hardly matters."""
 
 
 class DrivenTissue:
@@ -90,9 +86,10 @@ class DrivenTissue:
         self._learns = settings.method.name == "PBD-RM-ON" and len(self.around) > 0
         self._places = rest[self.surface.gripped]
         self._moving = np.zeros(len(rest), bool)
-        self.past = deque[np.ndarray](maxlen=PAST)
-        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]."""
-        self._seen = deque[np.ndarray](maxlen=PAST)
+        self.past = deque[np.ndarray](maxlen=MOST_FITTED)
+        """Places of the gripped particles in the last frames, shape [G, 3] [scene units]: how they moved before hardly
+        matters to the motion to come."""
+        self._seen = deque[np.ndarray](maxlen=MOST_FITTED)
 
     @property
     def stretched(self) -> np.ndarray:
@@ -120,7 +117,7 @@ class DrivenTissue:
             moved: displacement of the followed points, shape [P, 2] [px]; not observed = NaN.
         """
         visible = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
-        if len(visible) < LEAST_GRIPPED:
+        if len(visible) < 3:
             return None
         pixels = self.surface.pixels[self.surface.gripped]
         count = min(6, len(visible))
@@ -213,9 +210,8 @@ class DrivenTissue:
         """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2], or [T, Q, 3] if in space [px]."""
         places = np.stack([self._shares @ state for state in states])
         away = (places[..., 2] - self._depth) * (self.surface.camera.fx / self._depth)
-        return np.concatenate([self.surface.project(places) - self._resting, away[..., None]], axis=2)[
-            ..., : 2 + self._in_space
-        ]
+        moved = np.concatenate([self.surface.project(places) - self._resting, away[..., None]], axis=2)
+        return moved[..., : 2 + self._in_space]
 
     def _tracks(self, moved: np.ndarray, positions: np.ndarray) -> list[Match]:
         """Followed points at the depth that the sheet has there: across the line of sight they are known, along it not.

@@ -6,9 +6,8 @@ shows, and its stiffness changed by one step. θ, a force and a unit are not det
 them.
 """
 
-import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +17,6 @@ from palpate.common.options import option
 from palpate.common.robust import affine_motion
 from palpate.common.settings import LARGEST, Checked
 from palpate.data.contact.tissue_points import grid_to_picture
-from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.tracks.background import without_background
@@ -89,9 +87,8 @@ class _Followed:
             raise NoEstimate(f"Frame {first.frame.number} has no picture with masks to begin with.")
         settings = estimator.settings
         self._number, self._clip, self._settings = first.frame.number, clip, settings
-        picture, labels = first.view
         surface = make_surface(first, clip.camera, clip.geometry, settings.particles, settings.thickness)
-        self._follower = PointFollower(picture, labels == TOOL)
+        self._follower = PointFollower(first.shown)
         follower = self._follower
         self._driven = DrivenTissue(surface, follower.points, follower.distance, settings, follower.spacing)
         self._background = np.zeros_like(surface.pixels)
@@ -100,9 +97,8 @@ class _Followed:
 
     def step(self, frame: PreparedFrame) -> None:
         """Follow the tissue into a frame, and take it in."""
-        picture, labels = frame.view
         follower = self._follower
-        follower.step(picture, labels == TOOL)
+        follower.step(frame.shown)
         moved = follower.moved
         still = without_background(follower.points, moved, follower.distance)
         motion, places = moved - still, self._driven.surface.pixels
@@ -119,10 +115,8 @@ class _Followed:
         fit = self._driven.fit
         if fit is None:
             return ""
-        return (
-            f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending "
-            f"{fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
-        )
+        text = f"Fitted to the first frames: steps of {fit.time_step:g}, foundation {fit.foundation:g} and bending"
+        return f"{text} {fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
 
     def estimate(self) -> FieldResult:
         """What the run tells by now."""
@@ -158,7 +152,7 @@ class OnlineSession(RunSession):
         doubts = "" if field is not None or not frame.in_contact else self._reason
         verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
         found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
-        yield dataclasses.replace(found, field=field)
+        yield replace(found, field=field)
 
     def _field(self, frame: PreparedFrame) -> ParticleField | None:
         """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""

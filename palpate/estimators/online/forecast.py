@@ -44,16 +44,14 @@ class Lattice:
         shown = [(frame, near) for frame, near in shown if near.gripped.any() and near.around.any()]
         shown = [(frame, near) for frame, near in shown if length(near.moved[near.around]) > LEAST_MOTION]
         if not shown:
-            raise NothingMoves(
-                f"In none of {len(frames)} frames the tissue near the tool moves by {LEAST_MOTION:g} px."
-            )
+            problem = f"In none of {len(frames)} frames the tissue near the"
+            raise NothingMoves(f"{problem} tool moves by {LEAST_MOTION:g} px.")
+
+        moves = [length(near.moved[near.around]) for _, near in shown]
 
         def off(ratio: float) -> float:
-            errors = [
-                length((self.motion(frame, ratio) - frame.moved)[near.around]) / length(frame.moved[near.around])
-                for frame, near in shown
-            ]
-            return float(np.mean(errors))
+            errors = [length((self.motion(frame, ratio) - frame.moved)[near.around]) for frame, near in shown]
+            return float(np.mean(np.divide(errors, moves)))
 
         return float(min(RATIOS, key=off))
 

@@ -15,6 +15,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
+from scipy.special import expit, logit
 
 from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.physics.load import Grip
@@ -49,11 +50,7 @@ class Chamfer:
         self._tree = KDTree(self.cloud)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Value, gradient and second derivatives, which are a diagonal [N].
-
-        Raises:
-            ValueError: a position that is not finite.
-        """
+        """Value, gradient and second derivatives, a diagonal [N]; a ValueError where a position is not finite."""
         shown = points[self.seen]
         if not np.isfinite(shown).all():
             raise ValueError("a point to match is not finite: what is simulated has diverged.")
@@ -102,11 +99,7 @@ Matches = Sequence[Match]
 
 @dataclass(frozen=True)
 class Mapping(Checked):
-    """How the deformation is searched.
-
-    Raises:
-        ValueError: a value out of range.
-    """
+    """How the deformation is searched."""
 
     steps: Annotated[int, 1, MOST_ITERATIONS] = 30
     """Gradient steps (section II-B)."""
@@ -154,9 +147,7 @@ class Residual:
         return pull - start
 
 
-def map_residual(
-    points: np.ndarray, matches: Matches, energy: Potential, held: np.ndarray, mapping: Mapping
-) -> Residual:
+def map_residual(points: np.ndarray, matches: Matches, energy: Potential, held: np.ndarray, how: Mapping) -> Residual:
     """Descend F(y) = Σ matches(y) + U⁰(y)/N from a simulated state (Liang 2024, equations 4 to 6).
 
     The paper doesn't say k⁰; U⁰ over N, as the distances are means, makes k⁰ of order 1 weigh as much as they. At the
@@ -168,11 +159,11 @@ def map_residual(
         matches: Chamfer distance, followed points, or both.
         energy: ½ Cᵀ k⁰ C.
         held: pinned and gripped particles, shape [N], bool: known, so not mapped.
-        mapping: how.
+        how: steps and their rate.
     """
-    wanted = np.where(held, 0.0, mapping.rate * len(points) / 600)
+    wanted = np.where(held, 0.0, how.rate * len(points) / 600)
     now, path, values = points.copy(), [], []
-    for _ in range(mapping.steps):
+    for _ in range(how.steps):
         elastic, gradient = energy.slope(now)
         value, gradient, bends = elastic / len(now), gradient / len(now), []
         for match in matches:
@@ -189,11 +180,7 @@ def map_residual(
 
 @dataclass(frozen=True)
 class Bounds(Checked, group="the bound of "):
-    """Largest stiffness of distances and shapes; the smallest is 0 (Liang 2024, section III-B, whose own are `PAPER`).
-
-    Raises:
-        ValueError: a bound that is not positive.
-    """
+    """Largest stiffness of distances and shapes, above 0 (Liang 2024, section III-B, whose own are `PAPER`)."""
 
     distance: Positive = 10.0
     """[N/m], where m/Δt² is 1."""
@@ -206,24 +193,26 @@ class Bounds(Checked, group="the bound of "):
         Raises:
             ValueError: a stiffness on a bound or outside; two of the paper's three starts are.
         """
-        found = []
-        for name, values, bound in zip(("distance", "shape"), fields[:2], (self.distance, self.shape), strict=True):
-            share = np.asarray(values, np.float64) / bound
+        shares = np.stack(fields[:2]) / self.both
+        for name, share in zip(("distance", "shape"), shares, strict=True):
             if not ((share > 0) & (share < 1)).all():
-                problem = f"a stiffness of {name} begins on its bounds, 0 and {bound:g}, or outside"
+                problem = f"a stiffness of {name} begins on its bounds, 0 and {getattr(self, name):g}, or outside"
                 raise ValueError(f"{problem}; begin inside.")
-            found.append(np.log(share / (1 - share)))
-        return np.stack(found)
+        return logit(shares)
+
+    @property
+    def both(self) -> np.ndarray:
+        """Both, shape [2, 1]."""
+        return np.array([[self.distance], [self.shape]])
 
     def fields(self, logits: np.ndarray, volume: float) -> Stiffness:
         """Bounds times the sigmoid of each; volumes keep theirs."""
-        share = 0.5 * (1 + np.tanh(0.5 * logits))  # the sigmoid, which overflows nowhere
-        return Stiffness(self.distance * share[0], self.shape * share[1], volume)
+        return Stiffness(*(self.both * expit(logits)), volume)
 
     def by_logits(self, fields: Stiffness, slopes: Stiffness) -> np.ndarray:
         """Derivatives by the logits [2, N] from those by the fields [N]."""
-        every = zip(slopes[:2], fields[:2], (self.distance, self.shape), strict=True)
-        return np.stack([slope * values * (1 - values / bound) for slope, values, bound in every])
+        values = np.stack(fields[:2])
+        return np.stack(slopes[:2]) * values * (1 - values / self.both)
 
 
 PAPER = Bounds(distance=10.0, shape=0.02)
@@ -232,14 +221,10 @@ PAPER = Bounds(distance=10.0, shape=0.02)
 
 @dataclass(frozen=True)
 class Weights(Checked, group="the weight of "):
-    """What the terms count; the paper adds them up as they are, in units that it doesn't give.
-
-    Raises:
-        ValueError: a weight that is negative.
-    """
+    """What the terms count; the paper adds them up as they are, in units that it doesn't give."""
 
     gap: NotNegative = 1.0
-    """Weight of ‖Δ‖ in mean edges."""
+    """Weight of ‖Δ‖ in mean edges: weights then don't depend on the unit of the clip."""
     history: NotNegative = 0.1
     """Weight of the sum over snapshots of how far each moves, likewise. Not 1: tissue that is pulled isn't at rest, and
     soft fields keep it so. Adam's alone: Gauss–Newton's past is the simulation that it carries along."""
@@ -257,11 +242,7 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Objective(Checked):
-    """A gripped body, how it is stepped and mapped, and what its terms count.
-
-    Raises:
-        ValueError: an elastic stiffness that is negative.
-    """
+    """A gripped body, how it is stepped and mapped, and what its terms count."""
 
     body: Body
     gripped: np.ndarray
@@ -272,11 +253,6 @@ class Objective(Checked):
     """k⁰ of the mapping, of distances and shapes; volumes have none, whose 10¹⁰ a rate of 50 can't bear."""
     weights: Weights = field(default_factory=Weights)
     bounds: Bounds = PAPER
-
-    @cached_property
-    def edge(self) -> float:
-        """Mean length of edges [m], the unit of lengths here: weights then don't depend on the unit of the clip."""
-        return float(self.body.layout.rest[self.body.kinds[0]].mean())
 
     @cached_property
     def differences(self) -> csr_array:
@@ -345,31 +321,28 @@ class Objective(Checked):
             motion = self.stepped(fields, start, places[None])
             simulated = motion.positions[0, -1]
             residual = self.mapped(simulated, matches)
-            gap, by_gap = _norm(residual.deformation, self.weights.gap / self.edge)
+            gap, by_gap = _norm(residual.deformation, self.weights.gap / self.body.edge)
             pulls = np.zeros_like(motion.positions)
             pulls[0, -1] = residual.pulled_back(by_gap)
-            found = motion.gradient(pulls)
-            history, (of_distance, of_shape) = past.result()
-        smoothness, by_distance, by_shape = 0.0, found.distance[0] + of_distance, found.shape[0] + of_shape
-        bounds = self.bounds.distance, self.bounds.shape
-        for values, out, bound in zip(fields[:2], (by_distance, by_shape), bounds, strict=True):
-            apart, share = self.differences @ values, self.weights.smoothness / (bound * self.differences.shape[0])
-            smoothness += share * float(np.abs(apart).sum())
-            out += share * (self.differences.T @ np.sign(apart))
-        return simulated, residual, Terms(gap, history, smoothness), Stiffness(by_distance, by_shape, 0.0)
+            by_fields = motion.gradient(pulls).total
+            history, by_history = past.result()
+        apart = self.differences @ np.stack(fields[:2], axis=1)
+        share = self.weights.smoothness / (self.bounds.both.T * self.differences.shape[0])
+        by_fields += by_history + (share * (self.differences.T @ np.sign(apart))).T
+        terms = Terms(gap, history, float((share * np.abs(apart)).sum()))
+        return simulated, residual, terms, Stiffness(*by_fields, 0.0)
 
-    def _history(self, fields: Stiffness, snapshots: list[np.ndarray]) -> tuple[float, tuple[np.ndarray, ...]]:
-        """How far snapshots [N, 3] move, and the derivatives of that by the fields of distance and shape, shape [N]."""
+    def _history(self, fields: Stiffness, snapshots: list[np.ndarray]) -> tuple[float, np.ndarray]:
+        """How far snapshots [N, 3] move, and the derivatives of that by both fields, shape [2, N]."""
         if not snapshots:
-            return 0.0, (np.zeros(self.body.count), np.zeros(self.body.count))
+            return 0.0, np.zeros((2, self.body.count))
         states = np.stack(snapshots)
         motion = self.stepped(fields, states, states[:, None, self.gripped])
         pulls, moved = np.zeros_like(motion.positions), 0.0
         for index, state in enumerate(states):
-            way, pulls[index, -1] = _norm(motion.positions[index, -1] - state, self.weights.history / self.edge)
+            way, pulls[index, -1] = _norm(motion.positions[index, -1] - state, self.weights.history / self.body.edge)
             moved += way
-        found = motion.gradient(pulls)
-        return moved, (found.distance.sum(axis=0), found.shape.sum(axis=0))
+        return moved, motion.gradient(pulls).total
 
 
 def _norm(values: np.ndarray, weight: float) -> tuple[float, np.ndarray]:

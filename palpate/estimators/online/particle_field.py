@@ -162,25 +162,17 @@ class FieldResult:
             return ""
         left = f"{1 - self.skill:.0%} of the motion"
         if not self.explained:
-            return (
-                f"The fit does not explain the motion: tissue simulated under the instrument alone leaves {left} "
-                f"({1 - LEAST_SKILL:.0%} at most count as explained), so no stiffness is given or coloured."
-            )
+            text = f"The fit does not explain the motion: tissue simulated under the instrument alone leaves {left}"
+            return f"{text} ({1 - LEAST_SKILL:.0%} at most count as explained), so no stiffness is given or coloured."
         if not self.stretched:
             return ""
         if self.simpler:
             better, worse = self.skills[SHEET], self.skills[FIELD]
-            return (
-                f"A {SHEET} predicts later frames from earlier ones better (skill {better:.2f}) than stiffness place "
-                f"by place does ({worse:.2f}), so where it is stiffer is not determined."
-            )
+            text = f"A {SHEET} predicts later frames from earlier ones better (skill {better:.2f}) than stiffness"
+            return f"{text} place by place does ({worse:.2f}), so where it is stiffer is not determined."
         if not self.determined:
-            return (
-                f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined: "
-                "others explain the motion as well, so none is given or coloured."
-            )
+            text = f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined:"
+            return f"{text} others explain the motion as well, so none is given or coloured."
         shares = [f"{each.known.mean():.0%}" for each in self.last.maps.values()]
-        return (
-            f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at {shares[0]} of the "
-            f"particles against stretch, at {shares[1]} against bending."
-        )
+        text = f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at"
+        return f"{text} {shares[0]} of the particles against stretch, at {shares[1]} against bending."

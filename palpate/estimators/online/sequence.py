@@ -18,8 +18,7 @@ from palpate.estimators.cloud_shape import CloudShape, view_across
 from palpate.estimators.online.driven import Cloud, DrivenTissue
 from palpate.estimators.online.particle_field import ParticleField, StiffnessMap
 from palpate.estimators.online.settings import OnlineSettings
-from palpate.estimators.online.surface import Surface, layers_below, volume_below
-from palpate.physics.pbd.body import make_body
+from palpate.estimators.online.surface import Surface, body_below, layers_below
 
 PIXELS = 12.0
 """Between particles: followed points of a video at 600 particles have about as many."""
@@ -98,12 +97,9 @@ class SequenceTissue:
             pinned = ((boxes[:, 0] <= places) & (places <= boxes[:, 1])).all(axis=2).any(axis=0)
         pinned &= ~driven
         if not pinned.any() or (pinned | driven).all():
-            problem = "holds no free tissue in its pins' boxes, or all; change them, in the poses' frame and `unit`"
-            raise InputError(f"{printable(sequence.path)} {problem}.")
-        if settings.thickness is None:
-            body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
-        else:
-            body = volume_below(mesh, pinned, settings.thickness, layers)
+            text = "holds no free tissue in its pins' boxes, or all; change them, in the poses' frame and `unit`"
+            raise InputError(f"{printable(sequence.path)} {text}.")
+        body = body_below(mesh, pinned, settings.thickness, layers)
         focal = PIXELS * float(cloud[:, 2].mean() / wide)
         camera = Camera.from_focal(focal, *(int(PIXELS * count) for count in mesh.grid_shape[::-1]))
         surface = Surface(body, mesh.triangles, np.flatnonzero(driven), np.empty((0, 2)), camera, 0.0)

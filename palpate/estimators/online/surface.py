@@ -13,7 +13,6 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.tracks.background import FAR
-from palpate.data.tracks.following import shrunk, tool_distance
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.recorder import DRIVEN
 from palpate.physics.fem.solid import outer_faces
@@ -74,11 +73,7 @@ class Surface:
 
 
 def make_surface(
-    frame: PreparedFrame,
-    camera: Camera,
-    geometry: GeometrySettings,
-    particles: int,
-    thickness: float | None = None,
+    frame: PreparedFrame, camera: Camera, geometry: GeometrySettings, particles: int, thickness: float | None = None
 ) -> Surface:
     """Mesh the tissue of a frame with about so many particles (Liang 2024, section III), evenly over the picture.
 
@@ -97,10 +92,9 @@ def make_surface(
         NoEstimate: no tool or no tissue with depth, or none of it near the tool; a thickness of which no volume can be
             made.
     """
-    picture, labels = frame.view
-    tissue, tool = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL
+    tissue, tool, shown = (frame.labels == TISSUE) & (frame.depth > 0), frame.labels == TOOL, frame.shown
     count = int(tissue.sum())
-    if count < geometry.min_tissue_pixels or not (labels == TOOL).any():
+    if count < geometry.min_tissue_pixels or not shown.tool.any():
         raise NoEstimate(f"Frame {frame.frame.number} shows no instrument at tissue with depth to make a sheet of.")
     depth = frame.depth
     if geometry.smoothing > 0:
@@ -115,21 +109,17 @@ def make_surface(
     mesh = grid_mesh(points, tissue, occluder=tool, max_edge=longest, keep=keep)
     if len(mesh.vertices) == 0:
         raise NoEstimate(f"The tissue's depth in frame {frame.frame.number} is too rough to make a sheet of.")
-    small, instrument = shrunk(picture, labels == TOOL)
-    size = small.shape[1], small.shape[0]
+    size = shown.gray.shape[::-1]
     pixels = grid_to_picture(mesh.pixels[:, ::-1], mesh.grid_shape, size)
     column, row = np.clip(pixels.round().astype(int), 0, np.array(size) - 1).T
     reach = max(DRIVEN, size[0] / mesh.grid_shape[1] / np.sqrt(keep))  # a row of particles at least
-    away = tool_distance(instrument)[row, column]
+    away = shown.away[row, column]
     driven = away < reach
     if not driven.any():
-        near = f"{reach * labels.shape[1] / size[0]:.0f} px"
+        near = f"{reach * shown.size[0] / size[0]:.0f} px"
         raise NoEstimate(f"No tissue lies within {near} of the instrument in frame {frame.frame.number}.")
     pinned = mesh.rim & ~driven & (away > np.percentile(away, FAR))
-    if thickness is None:
-        body = make_body(mesh.vertices, mesh.triangles, pinned=pinned)
-    else:
-        body = volume_below(mesh, pinned, thickness, layers)
+    body = body_below(mesh, pinned, thickness, layers)
     surface = Surface(body, mesh.triangles, np.flatnonzero(driven), pixels, camera.scaled(*size), reach)
     return surface if thickness is None else replace(surface, pixels=surface.project(body.rest))
 
@@ -147,12 +137,16 @@ def layers_below(area: float, thickness: float, particles: int) -> int:
     return int(layers[np.abs(np.log(np.sqrt(area * layers / particles) * (layers - 1) / thickness)).argmin()])
 
 
-def volume_below(mesh: Mesh, pinned: np.ndarray, thickness: float, layers: int) -> Body:
+def body_below(mesh: Mesh, pinned: np.ndarray, thickness: float | None, layers: int) -> Body:
     """What lies below a surface along its normals, in so many layers; pinned is all below what is pinned there.
+
+    Without a thickness it is the sheet itself.
 
     Raises:
         NoEstimate: nothing does.
     """
+    if thickness is None:
+        return make_body(mesh.vertices, mesh.triangles, pinned=pinned)
     upper, faces = mesh.vertices.astype(np.float64), mesh.triangles.astype(np.int64)
     away = np.linalg.det(upper[faces]) > 0  # of the camera, at the origin
     faces[away] = faces[away][:, ::-1]

@@ -7,13 +7,3 @@ gauss_newton points' distances from a simulated surface, linearised by the mater
 material_fit Young's modulus and Poisson's ratio from forces and deformed surfaces
 scene       the file that names a surface and what was pressed on it
 """
-
-from palpate.common.lazy import exported
-
-__getattr__, __dir__, __all__ = exported(
-    {
-        "palpate.estimators.palpation.skin": ("Skin", "cover"),
-        "palpate.estimators.palpation.bench": ("Palpation",),
-        "palpate.estimators.palpation.material_fit": ("FitSettings", "fit_material"),
-    },
-)

@@ -53,10 +53,9 @@ class Bench:
         surface = skin.vertices, skin.triangles
         # A pose whose place is known better isn't registered: a flat surface would slide under the tool [m].
         # As in `registration`: motions that a body's facets alone show are the tool's to tell.
-        self.poses = [
-            each.pose if each.pose_shift < 5e-4 else register(thinned(each.points), surface, each.pose, shown=0.02)
-            for each in palpations
-        ]
+        known = [each.pose_shift < 5e-4 for each in palpations]
+        given = [(thinned(each.points), surface, each.pose) for each in palpations]
+        self.poses = [each[2] if sure else register(*each, shown=0.02) for sure, each in zip(known, given, strict=True)]
         self.eyes, self.sights = [], []
         """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
         apart = []

@@ -4,8 +4,6 @@ Between two simulations displacements are linear in the former, and points are m
 derivatives exist they are exact (`physics.fem.equilibrium`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -90,9 +88,8 @@ class System:
             self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
             counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
             if np.count_nonzero(counts) < 12:
-                raise ValueError(
-                    "fewer than 12 points lie on the surface outside the hole; give more, or a smaller hole."
-                )
+                problem = "fewer than 12 points lie on the surface outside the hole;"
+                raise ValueError(f"{problem} give more, or a smaller hole.")
             along = match.normal[counts] / cosine[counts, None]
             met = match.at(triangles, skin.vertices + moved)[counts]
             by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])
@@ -112,7 +109,7 @@ class System:
         self.precision = self.weight / self.noise**2
         """What a residual weighs, shape [R] [1/m²]."""
 
-    def solved(self) -> System:
+    def solved(self) -> "System":
         """By Gauss–Newton steps, without a simulation."""
         system, trust = self, 1.0
         for _ in range(20):

@@ -7,8 +7,6 @@ linear law, by which displacements go with 1/E, so that it doesn't matter how fa
 takes ten times as many simulations (docs/reports/palpation.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -96,10 +94,8 @@ def fit_material(
     normals = Match.of(contacts, skin.vertices, skin.triangles).normal
     for number, (each, normal) in enumerate(zip(palpations, normals, strict=True), start=1):
         if each.force @ normal > 0:
-            raise ValueError(
-                f"the force of palpation {number} points out of the body; give what the tool does to the body, the "
-                "negative of what a sensor in its handle feels."
-            )
+            problem = f"the force of palpation {number} points out of the body; give what the tool does to the body,"
+            raise ValueError(f"{problem} the negative of what a sensor in its handle feels.")
     bench = Bench(skin, held, palpations)
     poisson = 0.3  # to begin at
     rests = bench.rests(Material("linear", settings.young, poisson), [None] * len(palpations))

@@ -13,8 +13,7 @@ from palpate.estimators.palpation.skin import Match
 
 MOST_ALIGNED = 2000
 """Points that a pose needs at most."""
-SHOWN = 1e-3
-"""Singular value over the largest, from which on the surface shows a motion."""
+
 Triangles = tuple[np.ndarray, np.ndarray]
 """A surface: vertices [V, 3] [m], and triangles [F, 3]."""
 
@@ -32,14 +31,15 @@ def thinned(points: np.ndarray) -> np.ndarray:
     return points[:: max(1, -(-len(points) // MOST_ALIGNED))]
 
 
-def register(points: np.ndarray, surface: Triangles, pose: np.ndarray, shown: float = SHOWN) -> np.ndarray:
+def register(points: np.ndarray, surface: Triangles, pose: np.ndarray, shown: float = 1e-3) -> np.ndarray:
     """Pose that lays points onto a surface.
 
     Args:
         points: in the sensor's frame, shape [P, 3] [m].
         surface: vertices, shape [V, 3] [m], and triangles, shape [F, 3].
         pose: to begin at: where the sensor was, as the tool that carries it says, shape [4, 4].
-        shown: as SHOWN; facets alone show a ball's turns by a hundredth.
+        shown: singular value over the largest, from which on the surface shows a motion; facets alone show a ball's
+            turns by a hundredth.
 
     Returns:
         shape [4, 4].

@@ -2,7 +2,6 @@
 
 import codecs
 import io
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,12 +19,10 @@ from palpate.physics.fem import NoBody, make_solid, mesh_surface
 from palpate.physics.fem.curved import curve
 from palpate.physics.fem.meshing import around
 
-FORCES = 1e-6, 1e4
-"""Forces of what a hand or an instrument presses with [N]."""
 FEWEST = 12
 """Points of a surface that is fitted, by three numbers, and moved, by six."""
-BODY, REACH = 2.0, 10.0
-"""Largest body, and a sensor's largest distance, that are taken for metres [m]."""
+BODY = 2.0
+"""Largest body that is taken for metres [m]."""
 Row = tuple[float, float, float, float]
 
 
@@ -76,13 +73,14 @@ class PalpationFile:
 
     def __post_init__(self) -> None:
         turn, shift = np.array(self.pose)[:3, :3], np.array(self.pose)[:3, 3]
-        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0 or np.abs(shift).max() > REACH:
+        # No sensor is farther away than 10 m.
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0 or np.abs(shift).max() > 10.0:
             raise ValueError("pose is no rotation and shift; give the rows of a rigid 4 × 4 matrix, in metres.")
         lengths = self.tool_radius, self.hole, self.pose_shift
         if min(*lengths, self.pose_turn) <= 0 or max(lengths) > BODY / 2:
             raise ValueError("tool_radius, hole, pose_shift and pose_turn are to be positive, lengths in metres.")
-        if not FORCES[0] <= math.hypot(*self.force) <= FORCES[1]:
-            raise ValueError(f"force is to be {FORCES[0]:g} to {FORCES[1]:g} N; give what the tool pressed with.")
+        if not 1e-6 <= np.linalg.norm(self.force) <= 1e4:
+            raise ValueError("force is to be 1e-06 to 10000 N; give what the tool pressed with.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +103,8 @@ def read_scene(path: Path) -> Scene:
     file, axis = path.parent / scene.surface, "xyz".index(scene.held_axis)
     vertices, triangles = read_obj(file)
     _require_metres(file, vertices)
-    palpations = [
-        _palpation(values, f"{printable(path)}, palpation {number}", path.parent)
-        for number, values in enumerate(scene.palpations, start=1)
-    ]
+    given = enumerate(scene.palpations, start=1)
+    palpations = [_palpation(each, f"{printable(path)}, palpation {number}", path.parent) for number, each in given]
     radius, floor = min(each.tool_radius for each in palpations), (axis, scene.held_below)
     # With edges of 0.6 radii under the tool a slab's E was off by 1.5 % (docs/reports/palpation.md).
     crowded = around(np.array([each.contact for each in palpations]), radius, 0.6 * radius)
@@ -122,9 +118,8 @@ def read_scene(path: Path) -> Scene:
     base = scene.held_below + (1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0)
     still = low <= base
     if (count := int(still.sum())) < 3:
-        raise InputError(
-            f"{printable(path)}: {count} nodes lie below held_below; give more (lowest: {low.min():.4g} m)."
-        )
+        problem = f"{printable(path)}: {count} nodes lie below held_below;"
+        raise InputError(f"{problem} give more (lowest: {low.min():.4g} m).")
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     skin = cover(body, vertices, triangles, vertices[:, axis] <= base)

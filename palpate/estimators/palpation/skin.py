@@ -4,9 +4,6 @@ Vertices move as the shape functions of the element that they lie in, or closest
 by the same shares, so that both do the same work.
 """
 
-from __future__ import annotations
-
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,12 +14,7 @@ from scipy.spatial import KDTree
 from palpate.physics.fem import Solid
 from palpate.physics.fem.solid import EDGES
 from palpate.physics.fem.surface import areas, closest, even_shares, nearest
-from palpate.physics.mesh import holding
-
-SAMPLES = 8
-"""Places on a sharp edge to which distances are measured."""
-FLAT = 0.1
-"""Cosine of the angle between sight and normal below which a sight isn't followed to the triangle's plane."""
+from palpate.physics.mesh import crosses, holding
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +36,11 @@ class Skin:
 
         mesh = trimesh.Trimesh(self.vertices, self.triangles, process=False)
         lone = mesh.edges_unique[np.bincount(mesh.edges_unique_inverse) != 2]
-        sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > math.acos(0.8)]
+        sharp = mesh.face_adjacency_edges[mesh.face_adjacency_angles > np.arccos(0.8)]
         ends = self.vertices[np.concatenate([lone, sharp])]
         if not len(ends):
             return None
-        along = (np.arange(SAMPLES) + 0.5)[:, None, None] / SAMPLES
+        along = (np.arange(8) + 0.5)[:, None, None] / 8  # eight places on every edge
         return KDTree((ends[:, 0] + along * (ends[:, 1] - ends[:, 0])).reshape(-1, 3))
 
     def from_creases(self, places: np.ndarray) -> np.ndarray:
@@ -75,10 +67,8 @@ class Skin:
         """
         within = np.count_nonzero(np.linalg.norm(self.vertices - place, axis=1) < radius)
         if within < 3:
-            raise ValueError(
-                f"{within} vertices lie within {radius:g} m of the contact {np.round(place, 4)}; "
-                "give a contact on the surface, a wider tool or a finer surface."
-            )
+            problem = f"{within} vertices lie within {radius:g} m of the contact {np.round(place, 4)};"
+            raise ValueError(f"{problem} give a contact on the surface, a wider tool or a finer surface.")
         # Integrated over the triangles: sums over vertices alone would shift and widen the patch.
         shares = even_shares(4)
         corners = self.vertices[self.triangles]
@@ -135,8 +125,7 @@ def _shapes(place: np.ndarray) -> np.ndarray:
 
 def _normals(corners: np.ndarray) -> np.ndarray:
     """Outward ones of triangles [F, 3, 3], shape [F, 3]."""
-    one, two, three = corners.transpose(1, 0, 2)
-    normals = np.cross(two - one, three - one)
+    normals = crosses(corners)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
@@ -156,7 +145,7 @@ class Match:
     """Distance of the points from the places, shape [P] [m]."""
 
     @classmethod
-    def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Match:
+    def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> "Match":
         """The closest places to points [P, 3] on triangles [F, 3] of vertices [V, 3]."""
         corners = vertices[triangles]
         face, shares = nearest(points, corners)
@@ -165,7 +154,7 @@ class Match:
         return cls(face, shares, normal, (beyond * normal).sum(axis=1), np.linalg.norm(beyond, axis=1))
 
     @classmethod
-    def along(cls, points: np.ndarray, sights: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Match:
+    def along(cls, points: np.ndarray, sights: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> "Match":
         """Where lines of sight meet the surface, beginning at the closest triangle; distances are along them.
 
         Args:
@@ -186,7 +175,7 @@ class Match:
             face[left] = nearest(places[left], corners)[0]
             where, normal, sight = corners[face[left]], normals[face[left]], sights[left]
             steep = (sight * normal).sum(axis=1)
-            steep = np.where(np.abs(steep) < FLAT, FLAT, steep)
+            steep = np.where(np.abs(steep) < 0.1, 0.1, steep)  # less steeply a plane isn't followed to
             distance[left] = ((points[left] - where[:, 0]) * normal).sum(axis=1) / steep
             places[left] = points[left] - distance[left, None] * sight
             shares[left] = closest(places[left], where)

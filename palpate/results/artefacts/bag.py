@@ -1,7 +1,5 @@
 """Forces and verdicts of a clip as a bag of ROS that the library `rosbags` writes."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

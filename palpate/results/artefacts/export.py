@@ -3,8 +3,6 @@
 Numbers are text and integers have 32 bits: SOFA's MeshVTKLoader reads no others.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Iterator, Mapping

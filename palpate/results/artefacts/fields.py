@@ -1,7 +1,5 @@
 """`fields.npz`: stiffness over the tissue in every frame, written frame by frame, so that memory doesn't grow."""
 
-from __future__ import annotations
-
 import zipfile
 
 import numpy as np

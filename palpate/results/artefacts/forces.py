@@ -4,11 +4,10 @@ A press's force is its estimate's, as long as that was observed; a pull's comes 
 It is in newtons where something tells them, else relative to the run's own peak.
 """
 
-import dataclasses
 import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,6 @@ from palpate.results.artefacts.base import Artefact
 from palpate.results.verdicts import NOTES, state
 
 RELATIVE = "of this contact's own peak (relative, not N)"
-OPTIONAL = [f"{name}{end}" for name in ("mean", "peak", "force_over_stiffness_mm") for end in ENDS]
-OPTIONAL += ["peak_time_s", "metric_by"]
-"""What not every contact has; null where it lacks."""
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
@@ -110,7 +106,7 @@ class ContactForce:
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
             return self
         curves = np.stack([self.pressed * row.get(f"force{end}", math.nan) for end in ENDS])
-        return dataclasses.replace(self, curves=curves, unit=row["force_unit"], why=LATER)
+        return replace(self, curves=curves, unit=row["force_unit"], why=LATER)
 
     @property
     def relative(self) -> np.ndarray:
@@ -130,7 +126,9 @@ class ContactForce:
         """
         seconds, known = lasts[self.frames], np.isfinite(self.curves[0])
         curves = self.relative if self.unit == RELATIVE else self.curves
-        found: dict[str, Any] = dict.fromkeys(OPTIONAL)
+        # What not every contact has; null where it lacks.
+        optional = [f"{name}{end}" for name in ("mean", "peak", "force_over_stiffness_mm") for end in ENDS]
+        found: dict[str, Any] = dict.fromkeys([*optional, "peak_time_s", "metric_by"])
         if known.any():
             top = int(np.nanargmax(np.abs(curves[0])))
             means = curves[:, known] @ seconds[known] / seconds[known].sum()

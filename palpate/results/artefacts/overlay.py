@@ -1,7 +1,5 @@
 """overlay.mp4: the clip with what was found drawn on it."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,7 +16,7 @@ class Overlay(Artefact):
     name, option, pictures = store.OVERLAY, "overlay", True
 
     def open(self) -> None:
-        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps)
+        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps, preset="superfast")
         self._drawer = ThreadPoolExecutor(1, "overlay")
         self._corner = (0, 0)
         self._drawing: deque[Future[None]] = deque()

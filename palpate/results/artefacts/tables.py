@@ -1,7 +1,5 @@
 """Tables of a clip: parameters.csv, interactions.csv, calibrated.csv."""
 
-from __future__ import annotations
-
 import csv
 from typing import Any
 

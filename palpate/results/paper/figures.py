@@ -7,9 +7,6 @@ from matplotlib.figure import Figure
 from palpate.physics.mechanics import Mechanics
 from palpate.results.paper.simulated import distances
 
-MEDIAN_COLOUR, INNER_COLOUR, OUTER_COLOUR = "#14532d", "#86c59b", "#ecd9b0"
-GREY = "#667085"
-
 
 def _draw_heat_map(figure: Figure, axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.ndarray) -> None:
     count = len(relative)
@@ -26,11 +23,11 @@ def _draw_heat_map(figure: Figure, axes: Axes, times: np.ndarray, relative: np.n
 
 def _draw_fan(axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.ndarray) -> None:
     low, lower, median, upper, high = np.percentile(relative, (10, 25, 50, 75, 90), axis=0)
-    axes.fill_between(times, low, high, color=OUTER_COLOUR, lw=0, label="10–90th percentile")
-    axes.fill_between(times, lower, upper, color=INNER_COLOUR, lw=0, label="25–75th percentile")
-    axes.plot(times, median, color=MEDIAN_COLOUR, lw=2, label="median")
-    axes.axvspan(release.min(), release.max(), color=GREY, alpha=0.15, lw=0)
-    axes.axvline(np.median(release), color=GREY, lw=1.3, ls="--", label="release (median)")
+    axes.fill_between(times, low, high, color="#ecd9b0", lw=0, label="10–90th percentile")
+    axes.fill_between(times, lower, upper, color="#86c59b", lw=0, label="25–75th percentile")
+    axes.plot(times, median, color="#14532d", lw=2, label="median")
+    axes.axvspan(release.min(), release.max(), color="#667085", alpha=0.15, lw=0)
+    axes.axvline(np.median(release), color="#667085", lw=1.3, ls="--", label="release (median)")
     axes.set(xlim=(0, times[-1]), xlabel="time since first contact [s]", ylabel="relative displacement [–]")
     axes.set_title("(b) All test frames", loc="left")
     axes.legend()

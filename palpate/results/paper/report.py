@@ -61,12 +61,12 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         EvaluationError: there are no records.
     """
     if not records:
-        raise EvaluationError(
-            "no test pair is in contact, so there is nothing to evaluate; check the split and the counts by status "
-            "that the data preparation prints."
-        )
+        problem = "no test pair is in contact, so there is nothing to evaluate;"
+        raise EvaluationError(f"{problem} check the split and the counts by status that the data preparation prints.")
     records = sorted(records, key=lambda record: (record["clip"], record["frame"]))
-    contacts = [Interaction(one["mesh"], one["load"], one["observation"], mechanics.time_step) for one in records]
+    contacts = [
+        Interaction(one["mesh"], one["load"], {"point": one["observation"]}, mechanics.time_step) for one in records
+    ]
     names = "theta", "trajectory", "reference_trajectory"
     theta, predicted, reference = (np.array([record[name] for record in records], float) for name in names)
     frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()])
@@ -80,13 +80,10 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     load_steps = np.array([contact.load.factor.sum().round() for contact in contacts], dtype=int)
     paths = {REFERENCE: reference, PREDICTED: predicted}
     settled = {name: simulated.settle(path, load_steps, mechanics) for name, path in paths.items()}
-    motion = {
-        name: simulated.motion_row(settled[name]) | {"median of highest peak": simulated.median_share(path)}
-        for name, path in paths.items()
-    }
-    motions = {
-        (clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in zip(clips, contacts, strict=True)
-    }
+    shares = {name: {"median of highest peak": simulated.median_share(path)} for name, path in paths.items()}
+    motion = {name: simulated.motion_row(settled[name]) | share for name, share in shares.items()}
+    both = zip(clips, contacts, strict=True)
+    motions = {(clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in both}
     tables: dict[str, dict[str, dict[str, Any]]] = {
         "table_2.csv": {name: summarise(values, clips) for name, values in errors.items()},
         "comparisons.csv": {

@@ -22,8 +22,6 @@ from palpate.physics.msd.likelihoods import displacement_error
 
 MAX_ITERATIONS = 10
 """Most L-BFGS-B iterations for each of these."""
-STATES = ("settled", "not reached", "no release", "no motion", "not finite")
-"""`settled`, or why there is no settling time: `not reached` within the horizon, `no release` within the horizon."""
 
 
 def no_motion_errors(contacts: Sequence[Interaction], mechanics: Mechanics) -> np.ndarray:
@@ -139,9 +137,10 @@ def settle(trajectories: np.ndarray, load_steps: np.ndarray, mechanics: Mechanic
         mechanics: time step of the rollout.
 
     Returns:
-        One row a trajectory: `state` (one of `STATES`), `settling_time_s` (from release until the displacement stays
-        within 5 % of the peak; 0 where it already was), `release_s` (since first contact), `peak` [scene units] and
-        `end_fraction_of_peak` (displacement at the end of the horizon). What doesn't exist is not a number.
+        One row a trajectory: `state` (`settled`, or why there is no settling time: `not reached` or `no release` within
+        the horizon), `settling_time_s` (from release until the displacement stays within 5 % of the peak; 0 where it
+        already was), `release_s` (since first contact), `peak` [scene units] and `end_fraction_of_peak` (displacement
+        at the end of the horizon). What doesn't exist is not a number.
     """
     distance = distances(trajectories)
     peak, step = distance.max(axis=1), np.arange(1, distance.shape[1] + 1)
@@ -175,9 +174,10 @@ def median_share(trajectories: np.ndarray) -> float:
 
 def motion_row(settling: pd.DataFrame) -> dict[str, object]:
     """One regime's motions, as `settle` gives them, in numbers, for reading."""
+    states = "settled", "not reached", "no release", "no motion", "not finite"
     return {
         "median settling time [s]": settling["settling_time_s"].median(),
         "longest [s]": settling["settling_time_s"].max(),
-        **{state: int((settling["state"] == state).sum()) for state in STATES},
+        **{state: int((settling["state"] == state).sum()) for state in states},
         "peak over 1 scene unit": int((settling["peak"] > 1.0).sum()),
     }

@@ -17,9 +17,6 @@ from scipy import stats
 
 from palpate.physics.mechanics import PARAMETERS, Bounds
 
-AT_BOUND = 0.01
-"""Distance from an end of the range, over the range, below which a value lies at the bound."""
-
 Statistics = dict[str, float]
 Interval = tuple[float, float]
 NO_INTERVAL = math.nan, math.nan
@@ -55,9 +52,7 @@ def clip_interval(values: pd.Series, clips: np.ndarray) -> Interval:
 
 def _intervals(values: pd.Series, clips: np.ndarray) -> Statistics:
     found = {"": bca_interval(values), "clip_": clip_interval(values, clips)}
-    return {
-        f"{name}{end}": value for name, ends in found.items() for end, value in zip(("low", "high"), ends, strict=True)
-    }
+    return {f"{name}{end}": at for name, ends in found.items() for end, at in zip(("low", "high"), ends, strict=True)}
 
 
 def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:
@@ -130,7 +125,8 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
         high=high,
         sd_of_range=spread["sd"] / width,
         sd_of_mean=spread["sd"] / spread["mean"].abs(),
-        at_bound=((values - low < AT_BOUND * width) | (high - values < AT_BOUND * width)).mean(),
+        # Within a hundredth of the range from an end of it.
+        at_bound=((values - low < 0.01 * width) | (high - values < 0.01 * width)).mean(),
     )
     # SD over the admissible range, and over the mean where the range is far too wide for the scene.
     constant = (spread["sd_of_range"] < 0.02) & ~(spread["sd_of_mean"] >= 0.2)

@@ -59,9 +59,7 @@ def test_too_few_frames_are_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["--match", "chamfer"], "--match chamfer tells Gauss–Newton's steps nothing; give --optimizer adam, or both"),
     ],
 )
-def test_what_cannot_be_held_or_learnt_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture, asked, sentence
-) -> None:
+def test_what_cannot_be_held_or_learnt_is_refused(tmp_path: Path, capsys, asked, sentence) -> None:
     with pytest.raises(SystemExit):
         main(["--output", str(tmp_path / "out"), *asked])
     assert sentence in " ".join(capsys.readouterr().err.split())

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.palpation import __main__ as surfaces
 from benchmarks.palpation.__main__ import POISSON, SIX, STARTS, YOUNG
-from palpate.estimators.palpation import FitSettings
+from palpate.estimators.palpation.material_fit import FitSettings
 
 
 def fitted(young: float) -> SimpleNamespace:

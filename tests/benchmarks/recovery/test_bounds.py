@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from benchmarks.recovery import bounds as limits
-from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import Patches
 from palpate.data.synthetic.clip import draw_truth
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.physics import Observation, Press, contact_normal, held
+from palpate.physics.depth import REACH, DepthSequence, SequenceNoise
 from palpate.physics.identifiability import bounds
+from palpate.physics.patches import Patches
 
 SIGMA = 1e-3
 SETTINGS = SceneSettings(
@@ -31,9 +31,7 @@ def truth() -> tuple[Scene, PressedMotion]:
     return draw_truth(SETTINGS, 3)
 
 
-def contact_of(
-    aside: tuple[int, int] = (0, 0), *, released: bool = True, noise: SequenceNoise | None = None
-) -> Interaction:
+def contact_of(aside=(0, 0), *, released: bool = True, noise: SequenceNoise | None = None) -> Interaction:
     """The true contact as it would be observed without errors, found so many rows and columns beside where it is."""
     scene, motion = truth()
     mesh = scene.mesh
@@ -42,8 +40,8 @@ def contact_of(
     until = len(motion.times) if released else motion.release_frame
     frames = np.arange(motion.onset_frame + 1, until)
     times = motion.times[frames] - motion.times[motion.onset_frame]
-    steps = (motion.release_frame - motion.onset_frame) / SETTINGS.fps / limits.MECHANICS.time_step
-    load = held(steps if released else limits.MECHANICS.steps, limits.MECHANICS.steps)
+    steps = (motion.release_frame - motion.onset_frame) / SETTINGS.fps / limits.FITTED.time_step
+    load = held(steps if released else limits.FITTED.steps, limits.FITTED.steps)
     whole = np.zeros((len(frames), len(mesh.vertices), 3))
     whole[:, motion.moving] = motion.field[frames]
     patches = Patches(mesh, vertex, (214, 120))
@@ -52,9 +50,11 @@ def contact_of(
     return Interaction(
         mesh,
         Press.at(vertex, contact_normal(mesh, vertex), load),
-        Observation.of_point(vertex, times, motion.contact[frames], SIGMA),
-        limits.MECHANICS.time_step,
-        DepthSequence(times, change, noise or SequenceNoise(SIGMA, 0.0), (214, 120)),
+        {
+            "point": Observation.of_point(vertex, times, motion.contact[frames], SIGMA),
+            "depth": DepthSequence(times, change, noise or SequenceNoise(SIGMA, 0.0), (214, 120)),
+        },
+        limits.FITTED.time_step,
     )
 
 
@@ -87,10 +87,8 @@ def test_what_was_observed_itself_does_not_count(found: np.ndarray) -> None:
     generator = np.random.default_rng(0)
     sequence = contact.sequence
     noisy = sequence.change + generator.normal(0, SIGMA, sequence.change.shape).astype(np.float32)
-    spoiled = dataclasses.replace(
-        contact,
-        sequence=dataclasses.replace(sequence, change=noisy),
-        observation=contact.observation.moved(contact.moved + 0.01, 7.0),
+    spoiled = contact.having(
+        depth=dataclasses.replace(sequence, change=noisy), point=contact.observation.moved(contact.moved + 0.01, 7.0)
     )
     np.testing.assert_allclose(limits.field_information(spoiled, *truth()), found, rtol=1e-9)
 
@@ -105,7 +103,7 @@ def test_the_sequence_of_a_contact_found_one_pixel_aside_is_recentred(aside: tup
             lost = [slice(None)] * 3
             lost[1 + axis] = slice(None, away) if away > 0 else slice(away, None)
             change[tuple(lost)] = np.nan
-    cut = dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
+    cut = contact.having(depth=dataclasses.replace(contact.sequence, change=change))
     expected = limits.field_information(cut, *truth())
     np.testing.assert_allclose(limits.field_information(contact_of(aside), *truth()), expected, rtol=1e-9)
 
@@ -120,7 +118,7 @@ def test_a_tool_takes_what_it_hides_from_the_right_pixels() -> None:
         if aside == (0, 0):
             change[:, 0], change[:, :, 0] = np.nan, np.nan
         sequence = dataclasses.replace(contact.sequence, change=change)
-        found.append(limits.field_information(dataclasses.replace(contact, sequence=sequence), *truth()))
+        found.append(limits.field_information(contact.having(depth=sequence), *truth()))
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
@@ -136,8 +134,8 @@ def test_where_the_release_was_not_seen_nothing_is_known_of_it() -> None:
 
 def test_without_a_sequence_there_is_no_information_of_it() -> None:
     contact = contact_of()
-    assert limits.field_information(dataclasses.replace(contact, sequence=None), *truth()) is None
-    short = dataclasses.replace(contact, sequence=contact.sequence.chosen(np.arange(2)))
+    assert limits.field_information(contact.having(depth=None), *truth()) is None
+    short = contact.having(depth=contact.sequence.chosen(np.arange(2)))
     assert limits.field_information(short, *truth()) is None
 
 

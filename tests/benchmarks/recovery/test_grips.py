@@ -65,7 +65,7 @@ def test_suites_are_drawn_from_settings_that_are_allowed() -> None:
         if suite.of != "grip":
             continue
         settings = suite.settings(0)
-        assert settings.action == "grip"
+        assert settings.action in ("grip", "hover", "pass")
         assert (settings.width, settings.height) == (854, 480)
         assert settings == suite.settings(5) == suite.truth_settings(2, (214, 120))
         assert suite.name == name

@@ -19,6 +19,9 @@ CHANGED = {
     "late-onset": {"onset_delay": (0.0, 1.0), "release_delay": (0.0, 1.0)},
     "patch": {"patch_radius": (2.0, 5.0), "force_tilt_deg": (0.0, 20.0), "profile": "hold"}
     | {"rise": (0.1, 0.45), "fall": (0.1, 0.45)},
+    "filled": {"view": "filled", "peak_displacement": (0.01, 0.04), "patch_radius": (0.0, 5.0), "max_tilt_deg": 15.0}
+    | {"profile": "hold", "rise": (0.05, 0.45), "fall": (0.05, 0.45)}
+    | {"lamp_offset": 0.03, "highlights": 0.3, "gloss": 300.0, "vignetting": 0.35},
 }
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,6 +34,11 @@ MESH = mesh_of()
 VERTEX = int(np.flatnonzero((MESH.pixels == CENTRE).all(axis=1))[0])
 
 
+def seen(depth: np.ndarray, labels: np.ndarray = TISSUE_ALL) -> SimpleNamespace:
+    """A frame."""
+    return SimpleNamespace(depth=depth, labels=labels)
+
+
 def recorder(sigma: float = SIGMA) -> depth_sequence.SequenceRecorder:
     return depth_sequence.SequenceRecorder(MESH, VERTEX, sigma, (WIDTH, HEIGHT))
 
@@ -41,7 +47,7 @@ def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> depth_sequence.Sequenc
     """As measured in frames of errors [N, H, W] about tissue at rest."""
     made = recorder(sigma)
     for errors in frames:
-        assert made.frame(REST + errors, TISSUE_ALL) is not None
+        assert made.frame(seen(REST + errors)) is not None
     return made.noise(99)
 
 
@@ -66,7 +72,7 @@ def test_scale_and_tilt_of_the_whole_depth_are_taken_off(motion: tuple[float, fl
     """Relative to the distance, as a camera or a depth network changes them."""
     scale, down, across = motion
     moved = scale + (down * (ROWS - CENTRE[0]) + across * (COLUMNS - CENTRE[1])) / depth_sequence.FAR
-    change = recorder().frame(REST * (1 + moved) + DENT, TISSUE_ALL)
+    change = recorder().frame(seen(REST * (1 + moved) + DENT))
     assert (change.dtype, change.shape) == (np.float32, (SIDE, SIDE))
     np.testing.assert_allclose(change, SEEN, atol=3e-7 if any(motion) else 2e-7)
     assert SEEN[depth_sequence.REACH, depth_sequence.REACH] == pytest.approx(0.03)
@@ -80,7 +86,7 @@ def test_what_is_hidden_is_not_a_number() -> None:
     hidden = np.zeros((SIDE, SIDE), bool)
     hidden[depth_sequence.REACH, depth_sequence.REACH :] = True
     hidden[depth_sequence.REACH - 3, depth_sequence.REACH - 2] = True
-    change = recorder().frame(depth, labels)
+    change = recorder().frame(seen(depth, labels))
     np.testing.assert_array_equal(np.isnan(change), hidden)
     np.testing.assert_allclose(change[~hidden], SEEN[~hidden], atol=2e-7)
 
@@ -90,7 +96,7 @@ def test_outside_the_picture_and_the_mesh_is_not_a_number(corner: tuple[int, int
     valid = (ROWS > 1) | (COLUMNS > 60)
     mesh = mesh_of(valid=valid)
     vertex = int(np.flatnonzero((mesh.pixels == corner).all(axis=1))[0])
-    change = depth_sequence.SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(REST, TISSUE_ALL)
+    change = depth_sequence.SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(seen(REST))
     there = np.pad(valid, depth_sequence.REACH)[depth_sequence.window_around(np.array(corner) + depth_sequence.REACH)]
     np.testing.assert_array_equal(np.isfinite(change), there)
     np.testing.assert_allclose(change[there], 0, atol=1e-7)
@@ -101,11 +107,11 @@ def test_too_little_far_tissue_tells_nothing_of_the_camera() -> None:
     apart = np.maximum(np.abs(ROWS - CENTRE[0]), np.abs(COLUMNS - CENTRE[1]))
     labels = np.where(apart < depth_sequence.FAR, TISSUE, TOOL).astype(np.uint8)
     made = recorder()
-    assert made.frame(REST, labels) is None
+    assert made.frame(seen(REST, labels)) is None
     labels[0, : depth_sequence.MIN_FAR - 100] = labels[-1, :99] = TISSUE
-    assert made.frame(REST, labels) is None
+    assert made.frame(seen(REST, labels)) is None
     labels[-1, 99] = TISSUE
-    assert made.frame(REST, labels) is not None
+    assert made.frame(seen(REST, labels)) is not None
 
 
 def test_what_is_rounded_stays_in_its_place() -> None:
@@ -155,14 +161,14 @@ def test_before_a_second_frame_all_noise_counts_as_new() -> None:
     made = recorder()
     for _ in range(2):
         assert made.noise(99) == depth_sequence.SequenceNoise(SIGMA, 0.0)
-        made.frame(REST, TISSUE_ALL)
+        made.frame(seen(REST))
     assert made.noise(99) == depth_sequence.SequenceNoise(0.0, pytest.approx(SIGMA), 1.0, 1.0)
 
 
 def test_a_sequence_holds_frames_times_and_size() -> None:
     made = recorder()
-    changes = [made.frame(REST + amount * DENT, TISSUE_ALL) for amount in (0.5, 1.0, 0.25)]
-    sequence = made.sequence(np.array([0.04, 0.08, 0.12]), changes, 2)
+    changes = [made.frame(seen(REST + amount * DENT)) for amount in (0.5, 1.0, 0.25)]
+    sequence = made.record(np.array([0.04, 0.08, 0.12]), changes, 2)
     np.testing.assert_array_equal(sequence.change, np.stack(changes))
     assert sequence.times.tolist() == [0.04, 0.08, 0.12]
     assert (sequence.size, sequence.noise) == ((WIDTH, HEIGHT), made.noise(99))
@@ -171,19 +177,5 @@ def test_a_sequence_holds_frames_times_and_size() -> None:
         assert part.times.tolist() == [0.04, 0.12]
         np.testing.assert_array_equal(part.change, np.stack([changes[0], changes[2]]))
         assert dataclasses.replace(part, times=sequence.times, change=sequence.change).noise == sequence.noise
-    empty = made.sequence(np.array([]), [], 0)
+    empty = made.record(np.array([]), [], 0)
     assert (empty.times.shape, empty.change.shape) == ((0,), (0, SIDE, SIDE))
-
-
-def test_smooth_errors_are_those_of_a_gaussian_process() -> None:
-    columns = depth_sequence.smooth_errors(1e-3)
-    places = np.mgrid[: 2 * depth_sequence.REACH + 1, : 2 * depth_sequence.REACH + 1].reshape(2, -1).T
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    expected = (depth_sequence.REST_SHARE * 1e-3) ** 2 * np.exp(-0.5 * (apart / depth_sequence.REST_LENGTH) ** 2)
-    found = columns @ columns.T
-    # As few columns as hold so much of it.
-    assert np.trace(found) >= depth_sequence.REST_KEPT * np.trace(expected)
-    assert np.trace(found) - np.square(columns[:, -1]).sum() < depth_sequence.REST_KEPT * np.trace(expected)
-    np.testing.assert_allclose(columns.T @ columns, np.diag(np.square(columns).sum(axis=0)), atol=1e-15)
-    np.testing.assert_allclose(found, expected, atol=0.06 * (depth_sequence.REST_SHARE * 1e-3) ** 2)
-    assert np.linalg.eigvalsh(expected - found).min() > -1e-9 * expected.max()

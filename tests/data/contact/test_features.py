@@ -21,7 +21,7 @@ def contact() -> Interaction:
     along = np.arange(1, 26) / 1000
     direction = np.array([0.0, 0.0, -1.0], np.float32)
     moved = Observation.of_point(vertex, times, -along[:, None] * direction, 0.001)
-    return Interaction(mesh, Press.at(vertex, direction, held(80, 200)), moved, 0.005)
+    return Interaction(mesh, Press.at(vertex, direction, held(80, 200)), {"point": moved}, 0.005)
 
 
 def test_parts(contact: Interaction) -> None:

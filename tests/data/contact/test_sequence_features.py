@@ -1,17 +1,15 @@
 """A sequence told by a few shapes: orthonormal, sinking, found again in what is seen, and the vector that says so."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from scipy.ndimage import convolve
 
 from palpate.data.contact import sequence_features as module
-from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise
 from palpate.data.contact.features import SLOTS, slot_times
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import RIDGE, SHAPES, dent_shapes, motion_in_sequence, sequence_features
 from palpate.data.source.camera import Camera, back_project
+from palpate.physics.depth import REACH, DepthSequence, SequenceNoise
 from palpate.physics.load import Press, held
 from palpate.physics.mesh import grid_mesh
 from palpate.physics.observation import Observation
@@ -145,7 +143,9 @@ def followed(size: tuple[int, int]) -> Interaction:
     change = np.zeros((3, SIDE, SIDE), np.float32)
     change[:, REACH, REACH] = 0.01, 0.02, np.nan
     sequence = DepthSequence(times[[0, 2, 3]], change, SequenceNoise(NOISE, 0.0), size)
-    return Interaction(mesh, Press.at(45, np.array([0.0, 0.0, 1.0]), held(10, 40)), observed, 0.005, sequence)
+    return Interaction(mesh, Press.at(45, np.array([0.0, 0.0, 1.0]), held(10, 40)), {"point": observed}, 0.005).having(
+        depth=sequence
+    )
 
 
 def test_in_a_finer_picture_the_contact_moves_as_its_pixel_shows() -> None:
@@ -160,4 +160,4 @@ def test_in_a_finer_picture_the_contact_moves_as_its_pixel_shows() -> None:
 def test_in_another_picture_the_contact_moves_as_it_was_followed(size: tuple[int, int]) -> None:
     contact = followed(size)
     np.testing.assert_array_equal(motion_in_sequence(contact), contact.moved)
-    np.testing.assert_array_equal(motion_in_sequence(dataclasses.replace(contact, sequence=None)), contact.moved)
+    np.testing.assert_array_equal(motion_in_sequence(contact.having(depth=None)), contact.moved)

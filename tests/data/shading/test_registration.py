@@ -28,7 +28,8 @@ def labels(tool: slice | None = None) -> np.ndarray:
 
 
 def push(registration: Registration, picture: np.ndarray, named: np.ndarray) -> tuple[View, np.ndarray, np.ndarray]:
-    return registration.push(Shown.of_view((picture, named)), picture, named)
+    view, registered = registration.push(Shown.of_view((picture, named)))
+    return view, *registered()
 
 
 PICTURE = texture()

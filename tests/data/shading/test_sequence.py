@@ -1,5 +1,7 @@
 """Brightness sequences: light at rest, gain taken off, noise as it is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,11 @@ SIDE = FINE * (2 * (REACH + MARGIN) + 1)
 TEXTURE = np.random.default_rng(1).normal(-1, 0.3, SHAPE)
 
 
+def seen(light: np.ndarray) -> SimpleNamespace:
+    """A frame of a camera that stands still."""
+    return SimpleNamespace(light=light, light_view=None)
+
+
 def recorder(row: int = 30, column: int = 40) -> ShadingRecorder:
     return ShadingRecorder(TEXTURE, np.array([row, column]))
 
@@ -20,7 +27,7 @@ def recorder(row: int = 30, column: int = 40) -> ShadingRecorder:
 def test_rest_is_the_median_of_what_was_seen():
     rest = RestingLight()
     for value in (1.0, 5.0, 2.0, np.nan):
-        rest.push(np.full(SHAPE, value))
+        rest.push(lambda value=value: np.full(SHAPE, value))
     assert len(rest) == 4
     np.testing.assert_allclose(rest.median(), 2.0)
     rest.clear()
@@ -34,7 +41,7 @@ def test_rest_is_that_of_the_frames_that_show_a_place(count):
     frames[generator.random(frames.shape) < 0.3] = np.nan
     rest = RestingLight()
     for frame in frames:
-        rest.push(frame)
+        rest.push(lambda frame=frame: frame)
     known = np.isfinite(frames).any(axis=0)
     np.testing.assert_array_equal(rest.median()[known], np.nanmedian(frames[:, known], axis=0))
     assert np.isnan(rest.median()[~known]).all()
@@ -47,7 +54,7 @@ def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
     light = TEXTURE + 0.2 - 0.1 * rows + 0.05 * columns + dent + noise
     np.testing.assert_allclose(change_of_light(light, TEXTURE), dent + noise, atol=0.003)
     made = recorder()
-    found = made.sequence(np.array([0.04]), [made.frame(light)])
+    found = made.record(np.array([0.04]), [made.frame(seen(light))])
     first = FINE * (np.array([30, 40]) - REACH - MARGIN)
     window = np.s_[first[0] : first[0] + SIDE, first[1] : first[1] + SIDE]
     np.testing.assert_allclose(found.light[0] - found.rest, (dent + noise)[window], atol=0.003)
@@ -55,7 +62,7 @@ def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
 
 
 def test_what_lies_outside_the_picture_is_not_known():
-    found = recorder(2, 3).frame(TEXTURE)
+    found = recorder(2, 3).frame(seen(TEXTURE))
     outside = FINE * (REACH + MARGIN - np.array([2, 3]))
     assert np.isnan(found[: outside[0]]).all()
     assert np.isnan(found[:, : outside[1]]).all()
@@ -65,13 +72,13 @@ def test_what_lies_outside_the_picture_is_not_known():
 def test_a_frame_that_shows_too_little_tells_no_gain():
     light = TEXTURE.copy()
     light[:, 20:] = np.nan
-    assert recorder().frame(light) is None
+    assert recorder().frame(seen(light)) is None
     assert change_of_light(np.full(SHAPE, np.nan), TEXTURE) is None
 
 
 def test_some_frames_of_a_sequence():
     made = recorder()
-    frames = [made.frame(TEXTURE + gain) for gain in (0.0, 0.1, 0.2)]
-    found = made.sequence(np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
+    frames = [made.frame(seen(TEXTURE + gain)) for gain in (0.0, 0.1, 0.2)]
+    found = made.record(np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
     np.testing.assert_array_equal(found.times, [0.1, 0.3])
     assert found.light.shape == (2, SIDE, SIDE)

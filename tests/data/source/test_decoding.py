@@ -145,9 +145,7 @@ def second_track(name: str, **about):
 
 
 @pytest.mark.parametrize(
-    "before",
-    [second_track("ffv1"), second_track("mjpeg", pix_fmt="yuvj444p", frames=1)],
-    ids=["another view", "cover"],
+    "before", [second_track("ffv1"), second_track("mjpeg", pix_fmt="yuvj444p", frames=1)], ids=["another view", "cover"]
 )
 def test_the_default_track_is_read(tmp_path, before):
     path = write(tmp_path / "v.mkv", before=before, disposition=av.stream.Disposition.default)

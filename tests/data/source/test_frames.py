@@ -254,11 +254,7 @@ def test_a_search_that_has_no_end_is_a_sentence(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("path", "said"),
-    [
-        ("absent", "No such file"),
-        ("empty", "holds no video, bag or"),
-        ("one.png", "is a single image"),
-    ],
+    [("absent", "No such file"), ("empty", "holds no video, bag or"), ("one.png", "is a single image")],
 )
 def test_discover_names_what_is_wrong(tmp_path, monkeypatch, path, said):
     monkeypatch.chdir(tmp_path)

@@ -106,10 +106,7 @@ def test_depth_pictures_are_clouds_of_a_camera_on_the_tool(tmp_path: Path) -> No
         ({"fps": None}, "give times or fps"),
         ({"grip_radius": -1.0}, r"grip_radius is -1\.0; give a positive number"),
         ({"grip_radius": 12.0}, r"sequence\.yaml: grip_radius can't be the tissue's"),
-        (
-            {"length": 1000.0, "unit": "mm", "grip_radius": 0.012},
-            "grip_radius can't be the tissue's; check `unit`",
-        ),
+        ({"length": 1000.0, "unit": "mm", "grip_radius": 0.012}, "grip_radius can't be the tissue's; check `unit`"),
         ({"camera": "camera.yaml"}, "give clouds, or depth with camera"),
         ({"gripped_s": [5.0, 6.0]}, r"0 frames lie from 5 to 6 s \(gripped_s\)"),
         ({"hand_eye": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "hand_eye is no rotation and shift"),

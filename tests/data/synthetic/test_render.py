@@ -154,4 +154,4 @@ def test_shading_has_no_seam_around_the_moving_region(case: tuple[Scene, TrueMot
     renderer = Renderer(scene, motion, np.random.default_rng(0))
     rows, columns = deformed_view(scene, motion, RELEASE, rest).region
     light = renderer._tissue_light(rest, (rows, columns))
-    np.testing.assert_allclose(light, renderer.rest_light[rows, columns], atol=2e-3)
+    np.testing.assert_allclose(light, renderer.rest_lights[0][rows, columns], atol=2e-3)

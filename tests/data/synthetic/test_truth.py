@@ -119,13 +119,13 @@ def test_a_hold_rises_holds_and_falls(scene: Scene) -> None:
 
 def test_a_patch_shares_the_force(scene: Scene, motion: PressedMotion) -> None:
     window = cut_window(scene, 12, None, PressShape(4.0))
-    assert window.shares.sum() == pytest.approx(1)
-    assert not window.held[window.pressed].any()
+    assert window.press.weights.sum() == pytest.approx(1)
+    assert not window.held[window.press.vertices].any()
     pressed = simulate_motion(scene, THETA, ONSET, RELEASE, shape=PressShape(4.0))
     assert pressed.peak < 0.6 * motion.peak
     # Before any spring pulls, the vertex in the middle has its share of the acceleration.
     first, alone = (np.linalg.norm(item.response[0]) for item in (pressed, motion))
-    assert first == pytest.approx(window.shares.max() * alone, rel=0.1)
+    assert first == pytest.approx(window.press.weights.max() * alone, rel=0.1)
 
 
 def test_a_force_that_leans_moves_tissue_to_its_side(scene: Scene, motion: PressedMotion) -> None:

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from palpate.data.labels import TISSUE, TOOL
 from palpate.data.tracks import following
-from palpate.data.tracks.following import RELINKED, SPACING, PointFollower, lit_field
+from palpate.data.tracks.following import RELINKED, SPACING, PointFollower, Shown, lit_field
 
 HEIGHT, WIDTH = 128, 176
 NO_TOOL = np.zeros((HEIGHT, WIDTH), bool)
@@ -52,8 +53,12 @@ def left_of(column: int) -> np.ndarray:
     return np.broadcast_to(np.arange(WIDTH) < column, (HEIGHT, WIDTH))
 
 
+def shown(picture: np.ndarray, tool: np.ndarray) -> Shown:
+    return Shown.of_view((picture, np.where(tool, TOOL, TISSUE).astype(np.uint8)))
+
+
 def test_points_are_a_grid_away_from_the_tool() -> None:
-    follower = PointFollower(texture(), left_of(40))
+    follower = PointFollower(shown(texture(), left_of(40)))
     columns, rows = follower.points.T
     assert follower.spacing == SPACING
     assert (sorted(set(columns)), sorted(set(rows))) == ([*range(48, 161, 8)], [*range(8, 113, 8)])
@@ -64,8 +69,8 @@ def test_points_are_a_grid_away_from_the_tool() -> None:
 
 def after(picture: np.ndarray, following: np.ndarray, tool: np.ndarray = NO_TOOL) -> PointFollower:
     """Points of one picture, followed to another."""
-    follower = PointFollower(picture, tool)
-    follower.step(following, tool)
+    follower = PointFollower(shown(picture, tool))
+    follower.step(shown(following, tool))
     return follower
 
 
@@ -73,9 +78,9 @@ def after(picture: np.ndarray, following: np.ndarray, tool: np.ndarray = NO_TOOL
 def test_a_smooth_motion_is_followed(frames: int) -> None:
     """Half-resolution flow errs by a tenth of a pixel, so that errors of frames add up."""
     picture = texture(1)
-    follower = PointFollower(picture, NO_TOOL)
+    follower = PointFollower(shown(picture, NO_TOOL))
     for share in np.arange(1, frames + 1) / frames:
-        follower.step(warped(picture, bulge(share)), NO_TOOL)
+        follower.step(shown(warped(picture, bulge(share)), NO_TOOL))
     expected = bulge(1)(follower.points.astype(np.float64))
     assert np.linalg.norm(expected, axis=1).max() > 5
     off = np.linalg.norm(follower.moved - expected, axis=1)[follower.followed]
@@ -86,17 +91,17 @@ def test_a_smooth_motion_is_followed(frames: int) -> None:
 
 def test_points_under_the_tool_are_lost_until_the_first_picture_tells_where_they_are() -> None:
     picture = texture(2)
-    follower = PointFollower(picture, NO_TOOL)
+    follower = PointFollower(shown(picture, NO_TOOL))
     columns = follower.points[:, 0]
-    follower.step(picture, left_of(81))
+    follower.step(shown(picture, left_of(81)))
     seen = columns - 80 > following.TOUCHED
     for _ in range(RELINKED - 2):
         np.testing.assert_array_equal(follower.followed, seen)
         assert np.isnan(follower.moved[columns <= 80]).all()
         np.testing.assert_allclose(follower.moved[columns > 88], 0, atol=0.05)
         np.testing.assert_array_equal(follower.place[columns <= 80], follower.points[columns <= 80])
-        follower.step(picture, NO_TOOL)
-    follower.step(picture, NO_TOOL)
+        follower.step(shown(picture, NO_TOOL))
+    follower.step(shown(picture, NO_TOOL))
     assert follower.followed.all()
     np.testing.assert_allclose(follower.moved, 0, atol=0.05)
 
@@ -104,15 +109,15 @@ def test_points_under_the_tool_are_lost_until_the_first_picture_tells_where_they
 def test_a_point_behind_the_tool_is_found_where_its_neighbours_went() -> None:
     """A shift under a tool that passes."""
     picture = texture(6)
-    follower = PointFollower(picture, NO_TOOL)
+    follower = PointFollower(shown(picture, NO_TOOL))
     hidden = np.hypot(*(follower.points - [96, 64]).T) < 24
     tool = np.hypot(*np.meshgrid(np.arange(WIDTH) - 96, np.arange(HEIGHT) - 64)) < 30
     for index in range(1, RELINKED):
         now = warped(picture, shift(2.0 * index, -index))
         now[tool] = 30
-        follower.step(now, tool)
+        follower.step(shown(now, tool))
         assert not follower.followed[hidden].any()
-    follower.step(warped(picture, shift(2.0 * RELINKED, -RELINKED)), NO_TOOL)
+    follower.step(shown(warped(picture, shift(2.0 * RELINKED, -RELINKED)), NO_TOOL))
     assert follower.followed[hidden].mean() > 0.9
     off = np.linalg.norm(follower.moved - [2.0 * RELINKED, -RELINKED], axis=1)[hidden & follower.followed]
     assert np.median(off) < 0.3
@@ -121,21 +126,21 @@ def test_a_point_behind_the_tool_is_found_where_its_neighbours_went() -> None:
 def test_another_tissue_is_not_taken_for_a_lost_point() -> None:
     """What appears behind the tool has another pattern."""
     picture, other = texture(2), texture(7)
-    follower = PointFollower(picture, NO_TOOL)
+    follower = PointFollower(shown(picture, NO_TOOL))
     changed = np.where(left_of(81)[..., None], other, picture)
-    follower.step(picture, left_of(81))
+    follower.step(shown(picture, left_of(81)))
     for _ in range(RELINKED - 1):
-        follower.step(changed, NO_TOOL)
+        follower.step(shown(changed, NO_TOOL))
     assert follower.followed[follower.points[:, 0] <= 72].mean() < 0.05
 
 
 def test_links_to_the_first_picture_keep_errors_from_adding_up() -> None:
     """There and back by half pixels."""
     picture = texture(8)
-    follower, way = PointFollower(picture, NO_TOOL), (0.0, 0.0)
+    follower, way = PointFollower(shown(picture, NO_TOOL)), (0.0, 0.0)
     for index in range(1, 4 * RELINKED + 1):
         way = 1.5 * np.sin(index), 0.7 * np.cos(index)
-        follower.step(warped(picture, shift(*way)), NO_TOOL)
+        follower.step(shown(warped(picture, shift(*way)), NO_TOOL))
     off = (follower.moved - way)[follower.followed]
     assert np.sqrt(np.square(off).mean()) < 0.12
 
@@ -157,7 +162,7 @@ def test_a_round_field_is_lit_up_to_its_rim() -> None:
     assert lit[radius < 55 - following.RIM // 2 * np.sqrt(2) - 1].all()
     assert not lit[radius > 55 - following.RIM // 2].any()
     assert lit.sum() == (cv2.blur((radius < 55).astype(np.float32), (following.RIM, following.RIM)) > 1 - 1e-4).sum()
-    follower = PointFollower(picture, NO_TOOL)
+    follower = PointFollower(shown(picture, NO_TOOL))
     assert lit[follower.points[:, 1].astype(int), follower.points[:, 0].astype(int)].all()
     assert len(follower.points) == lit[EVERY, EVERY].sum()
 
@@ -167,8 +172,8 @@ def test_wide_pictures_are_shrunk_before_their_points_are_followed() -> None:
     wide = cv2.GaussianBlur(wide, (0, 0), 3)
     tool = np.zeros(wide.shape[:2], bool)
     tool[100:200, 800:900] = True
-    follower = PointFollower(wide, tool)
+    follower = PointFollower(shown(wide, tool))
     assert follower.points.max(axis=0) == pytest.approx([848, 136], abs=8)
     np.testing.assert_allclose(np.linalg.norm(follower.points - [425, 75], axis=1).min(), 30, atol=8)
-    follower.step(np.roll(wide, 4, axis=1), np.roll(tool, 4, axis=1))
+    follower.step(shown(np.roll(wide, 4, axis=1), np.roll(tool, 4, axis=1)))
     np.testing.assert_allclose(np.nanmedian(follower.moved, axis=0), [2.0, 0.0], atol=0.1)

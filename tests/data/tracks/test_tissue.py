@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from palpate.data.tracks.following import Shown
 from palpate.data.tracks.tissue import TissueTracker
 
 HEIGHT, WIDTH = 240, 320
@@ -30,8 +31,8 @@ POINTS = np.array([[100.0, 120.0], [201.5, 80.25]])
 
 def followed(first: np.ndarray, second: np.ndarray, points=POINTS, labels=(TISSUE, TISSUE)) -> np.ndarray:
     """Points by the tissue around them."""
-    tracker = TissueTracker()
-    return np.array([tracker.near((first, labels[0]), (second, labels[1]), point) for point in points])
+    tracker, pair = TissueTracker(), [*map(Shown.of_view, zip((first, second), labels, strict=True))]
+    return np.array([tracker.near(*pair, point) for point in points])
 
 
 @settings(max_examples=15, deadline=None)
@@ -78,6 +79,7 @@ def test_points_that_are_followed_each_for_itself_are_lost_each_for_itself():
     image, labels = texture(6), TISSUE.copy()
     labels[:, :90] = 0
     points = np.array([[80.0, 120.0], [100.0, 120.0], [201.5, 80.25], [316.0, 100.0]])
-    moved = TissueTracker().each((image, labels), (shifted(image, 6, -3), labels), points)
+    pair = (Shown.of_view((picture, labels)) for picture in (image, shifted(image, 6, -3)))
+    moved = TissueTracker().each(*pair, points)
     assert np.isfinite(moved).all(axis=1).tolist() == [False, True, True, False]
     assert np.abs(moved[1:3] - points[1:3] - [6, -3]).max() < 0.3

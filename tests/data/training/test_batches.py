@@ -8,20 +8,17 @@ import pytest
 import torch
 
 from palpate.data.clip import prepare
-from palpate.data.contact.depth_sequence import REACH, SequenceNoise
-from palpate.data.contact.features import FEATURES, SLOTS
+from palpate.data.contact.features import FEATURES
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, dent_features
 from palpate.data.synthetic.contacts import draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.training.batches import SampleDataset, collate, join_sequences
+from palpate.data.training.batches import SampleDataset, collate, dent_of
 from palpate.data.training.samples import SampleSettings, list_frames, make_sample
-from palpate.estimators.direct.field import SequenceProblem
-from palpate.physics.load import held
-from palpate.physics.mechanics import Mechanics, theta_of
-from palpate.physics.msd import rollout_sensitivities
-from palpate.physics.msd.likelihoods import linearise_depth
-from palpate.physics.msd.simulation import simulate
+from palpate.estimators.direct.problem import dent_problem
+from palpate.models.losses import posterior_physics_loss
+from palpate.physics.depth import REACH, SequenceNoise
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from tests.data.clips import GRID, SETTINGS, write_clip
 
 SMOOTH = replace(GRID, smoothing=4.0)
@@ -105,50 +102,35 @@ def test_dents_are_told_and_joined(clip) -> None:
         for side in ("a", "b"):
             assert batch[f"contact_features_{side}"].shape == (2, FEATURES + SEQUENCE_FEATURES)
             np.testing.assert_array_equal(batch[f"contact_features_{side}"][row].numpy(), expected)
-    dent = batch["dent_a"]
-    assert (dent.steps.shape, dent.change.shape) == ((2, 3), (2, 3, PIXELS))
-    for vertices, view in zip(dent.vertices.tolist(), dent.views, strict=True):
-        assert set(vertices) == set(view.vertices.tolist())  # no far vertex fills up
+    assert [dent.observed.shape for dent in batch["dent_a"]] == [(1, PIXELS), (3, PIXELS)]
 
 
 @pytest.mark.parametrize("fine", [False, True])
-def test_joined_sequences_change_as_the_vertices_sink(fine: bool) -> None:
-    """Of a simulated contact whose sequence is exact; the middle pixels of a fine picture are left out."""
-    contact, theta = contact_of(fine)
-    sequence = replace(contact.sequence, noise=SequenceNoise(1e-3, 0.0))
-    noisy = replace(contact, sequence=sequence, observation=contact.observation.moved(contact.moved, 1e-3))
-    dent = join_sequences([noisy, noisy.observed(np.arange(5))])
-    seen = np.isfinite(contact.sequence.change.reshape(SLOTS, PIXELS))
-    left_out = seen & (dent.weight[0].numpy() == 0)
-    middle = np.abs(np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1]).max(axis=0).ravel() <= 1
-    assert left_out.any(axis=0).tolist() == (middle & fine).tolist()
-    assert (dent.weight[1].sum(dim=1) > 0).tolist() == [True] * 5 + [False] * 20
-    load = replace(contact.load, factor=held(contact.load_seconds / contact.time_step, 200))
-    path = simulate(theta, contact.mesh, load, MECHANICS, watch=dent.vertices[0].numpy())
-    moved = path[dent.steps[0].numpy()]
-    expected, _ = dent.views[0].seen(moved.astype(np.float64), np.zeros((*moved.shape, 1)))
-    left = (dent.change[0].numpy() - expected)[dent.weight[0].numpy() > 0]
-    assert np.abs(expected).max() > 0.01
-    assert np.sqrt(np.square(left).mean()) < 1e-3
-    assert dent.noise.tolist() == pytest.approx([1e-3, 1e-3])
-
-
-def test_training_and_the_direct_fit_have_one_likelihood() -> None:
+def test_training_and_the_direct_fit_have_one_likelihood(fine: bool) -> None:
     """At one θ, of noise that is independent but for the rest surface's: the same pull and the same information."""
-    contact, theta = contact_of(False)
+    contact, theta = contact_of(fine)
     drawn = np.random.default_rng(0).normal(0, 1e-3, contact.sequence.change.shape).astype(np.float32)
     sequence = replace(contact.sequence, change=contact.sequence.change + drawn, noise=SequenceNoise(1e-3, 0.0))
-    contact = replace(contact, sequence=sequence, observation=contact.observation.moved(contact.moved, 1e-3))
+    contact = contact.having(depth=sequence, point=contact.observation.moved(contact.moved, 1e-3))
     logs = np.log(np.abs(theta)) + np.array([0.1, -0.05, 0.1])
-    problem = SequenceProblem(contact, MECHANICS)
+    problem = dent_problem(contact, MECHANICS)
     problem.look(logs)
-    residual, jacobian = problem.linearise(logs)
-    dent, here = join_sequences([contact]), torch.from_numpy(theta_of(logs))[None]
-    motion = rollout_sensitivities(here, [contact.mesh], [contact.load], MECHANICS, watch=dent.vertices)
-    misfit, gradient, information = (values[0].numpy() for values in linearise_depth(*motion, here, dent))
-    assert misfit == pytest.approx(0.5 * float(residual @ residual), rel=1e-6)
-    np.testing.assert_allclose(gradient, jacobian.T @ residual, rtol=1e-5)
-    np.testing.assert_allclose(information, jacobian.T @ jacobian, rtol=1e-5)
+    jacobian = problem.jacobian(logs)
+    mean, box = torch.from_numpy(logs)[None], (torch.from_numpy(ends) for ends in RECOMMENDED.log_box)
+    what = [contact.mesh], [contact.load], [dent_of(contact)], MECHANICS, tuple(box)
+    _, information = posterior_physics_loss(mean.requires_grad_(), torch.eye(3, dtype=mean.dtype)[None], *what)
+    np.testing.assert_allclose(information[0].numpy(), jacobian.T @ jacobian, rtol=1e-5)
+
+
+def test_without_a_sequence_the_middle_pixel_shows_the_contacts_own_motion() -> None:
+    contact, _ = contact_of(False)
+    alone = contact.having(depth=None, point=contact.observation.moved(contact.moved, 1e-3))
+    dent = dent_of(alone)
+    middle = PIXELS // 2
+    assert np.flatnonzero(dent.seen.any(axis=0)).tolist() == [middle]
+    shown = contact.sequence.change[-1].ravel()[middle]
+    assert dent.observed[-1, middle] == pytest.approx(shown, abs=1e-6)
+    assert dent.noise == SequenceNoise(1e-3, 0.0)
 
 
 @functools.cache

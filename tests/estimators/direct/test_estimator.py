@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import trusted_information
 from palpate.estimators.direct.estimator import DirectEstimator, DirectSettings
 from palpate.estimators.direct.problem import Optimum, combine
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.onset import STAMP
+from palpate.physics.depth import DepthSequence, SequenceNoise
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 from palpate.physics.mesh import Mesh, contact_normal
@@ -56,7 +56,7 @@ def contact_of(
         path = path + np.random.default_rng(seed).normal(0, noise, path.shape)
     times = MECHANICS.time_step * (STEPS + 1)
     press = Press.at(VERTEX, DIRECTION.astype(np.float32), held(LOAD, MECHANICS.steps))
-    return Interaction(MESH, press, Observation.of_point(VERTEX, times, path, noise), MECHANICS.time_step)
+    return Interaction(MESH, press, {"point": Observation.of_point(VERTEX, times, path, noise)}, MECHANICS.time_step)
 
 
 def test_most_draws_must_agree_that_a_contact_determines_its_parameters() -> None:
@@ -72,7 +72,7 @@ def test_without_a_sequence_there_is_no_estimate_and_it_says_why() -> None:
         session.fit(contact)
     few = DepthSequence(np.array([0.04, 0.08]), np.zeros((2, 15, 15)), SequenceNoise(NOISE, 0.0), (214, 120))
     with pytest.raises(NoEstimate, match="followed over 2 frames after its onset; 3 are needed"):
-        session.fit(dataclasses.replace(contact, sequence=few))
+        session.fit(contact.having(depth=few))
 
 
 @pytest.mark.parametrize(

@@ -6,18 +6,28 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from palpate.data.contact.depth_sequence import REACH, DepthSequence, SequenceNoise, smooth_errors
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import Patches
 from palpate.data.source.camera import Camera, back_project
 from palpate.estimators.direct.contact_fit import recentred
-from palpate.estimators.direct.field import OUTLIER, PARTIAL, STILL_NEW, WALL, SequenceProblem, rounding_covariance
 from palpate.estimators.direct.motion import PressMotion
-from palpate.estimators.direct.problem import Optimum, find_optimum
+from palpate.estimators.direct.problem import Optimum, dent_problem, find_optimum
+from palpate.observations.base import JointLikelihood
+from palpate.physics.depth import (
+    OUTLIER,
+    PARTIAL,
+    REACH,
+    STILL_NEW,
+    WALL,
+    DepthSequence,
+    SequenceNoise,
+    rounding_covariance,
+    smooth_errors,
+)
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
 from palpate.physics.observation import Observation
+from palpate.physics.patches import Patches
 
 MECHANICS = Mechanics(time_step=0.0025, steps=160, scheme="dkd")
 FINER = dataclasses.replace(MECHANICS, time_step=MECHANICS.time_step / 4, steps=4 * MECHANICS.steps)
@@ -70,19 +80,19 @@ def contact_of(
     vertex = int(np.flatnonzero((mesh.pixels == (16, 17)).all(axis=1))[0])
     press = Press.at(vertex, contact_normal(mesh, vertex), factor)
     seen = Observation.of_point(vertex, TIMES, np.zeros((len(TIMES), 3)), SIGMA)
-    still = Interaction(mesh, press, seen, mechanics.time_step)
+    still = Interaction(mesh, press, {"point": seen}, mechanics.time_step)
     patches = Patches(mesh, vertex, size)
     moved = PressMotion(still, mechanics, patches.vertices, TIMES, WITHIN if delays else 0.0)
     moved, _ = moved.at(logs_of(theta, *delays))
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
     sequence = DepthSequence(TIMES, change.astype(np.float32), noise or SequenceNoise(SIGMA, 0.0), size)
-    return dataclasses.replace(still, sequence=sequence)
+    return still.having(depth=sequence)
 
 
 def with_change(contact: Interaction, change: np.ndarray) -> Interaction:
     """The same with another depth-change sequence [N, S, S] (or [N, P])."""
     change = np.asarray(change, np.float32).reshape(contact.sequence.change.shape)
-    return dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
+    return contact.having(depth=dataclasses.replace(contact.sequence, change=change))
 
 
 def errors_of(seed: int, sigma: float = SIGMA) -> np.ndarray:
@@ -95,14 +105,14 @@ def noisy(contact: Interaction, errors: np.ndarray) -> Interaction:
 
 def shorter(contact: Interaction, frames: int = 5) -> Interaction:
     """Its depth-change sequence's first frames: all pixels' covariance is large."""
-    return dataclasses.replace(contact, sequence=contact.sequence.chosen(np.arange(frames)))
+    return contact.having(depth=contact.sequence.chosen(np.arange(frames)))
 
 
 def problem_of(
     contact: Interaction, logs: np.ndarray | None = None, *, within: float = 0.0, noise: float | None = None, **look
-) -> SequenceProblem:
+) -> JointLikelihood:
     """A problem that was looked at."""
-    problem = SequenceProblem(contact, MECHANICS, within, noise)
+    problem = dent_problem(contact, MECHANICS, within, noise)
     problem.look(logs_of() if logs is None else logs, **look)
     return problem
 
@@ -114,7 +124,7 @@ def central_differences(function, logs: np.ndarray, step: float = 1e-5) -> np.nd
 
 
 def expected_covariance(
-    problem: SequenceProblem, change: np.ndarray, weight: np.ndarray, walls: np.ndarray
+    problem: JointLikelihood, change: np.ndarray, weight: np.ndarray, walls: np.ndarray
 ) -> np.ndarray:
     """Covariance of all seen pixels' errors, frame by frame, brute force, shape [seen, seen].
 
@@ -122,7 +132,7 @@ def expected_covariance(
         problem: looked at.
         change, weight, walls: what the pixels show, how much they count, and their walls, shape [N, P] each.
     """
-    noise, (frames, pixels) = problem.sequence.noise, change.shape
+    noise, (frames, pixels) = problem.first.noise, change.shape
     frame, pixel = (part.ravel() for part in np.indices((frames, pixels)))
     same, alike = pixel[:, None] == pixel, frame[:, None] == frame
     new = noise.correlated_in_time * noise.in_time**2 + noise.total**2 * (1 / weight.ravel() - 1)
@@ -137,10 +147,10 @@ def expected_covariance(
             part = noise.correlated_in_place * (1 + STILL_NEW * alike)
         covariance += noise.in_place**2 * part * same
     smooth = smooth_errors(noise.total)[pixel]
-    blurs = problem.patches.blurs(problem.motion.at(logs_of())[0], problem.covering).swapaxes(0, 1)
+    blurs = problem.first.patches.blurs(problem.motion.at(logs_of())[0], problem.first.covering).swapaxes(0, 1)
     blurs = blurs.reshape(frames * pixels, -1)
     covariance += smooth @ smooth.T + blurs @ blurs.T
-    seen = problem.seen.ravel()
+    seen = problem.first.seen.ravel()
     return covariance[np.ix_(seen, seen)]
 
 
@@ -166,22 +176,22 @@ def test_whitened_products_are_those_of_the_inverse_covariance(name: str, size: 
     change[2, 40:60] += 0.02
     contact = with_change(contact, change)
     problem = problem_of(contact, outliers=True)
-    shown = problem.change(problem.motion.at(logs_of())[0], logs_of())
-    steep = problem.patches.steepness(problem.motion.at(logs_of())[0])
+    shown = problem.first.change(problem.motion.at(logs_of())[0], logs_of())
+    steep = problem.first.patches.steepness(problem.motion.at(logs_of())[0])
     assert (steep.max() > 1e-3) == (size == LARGER)
     beside = maximum_filter(np.isnan(contact.sequence.change), (1, 3, 3)).reshape(steep.shape)
     walls = np.where(beside, PARTIAL, WALL) * steep
-    apart = np.abs(np.where(problem.seen, shown - problem.observed, 0))
-    apart = apart / np.sqrt(problem.sequence.noise.total**2 + walls**2)
+    apart = np.abs(np.where(problem.first.seen, shown - problem.first.observed, 0))
+    apart = apart / np.sqrt(problem.first.noise.total**2 + walls**2)
     weight = np.where(apart > OUTLIER, (OUTLIER / np.maximum(apart, 1e-9)) ** 2, 1.0)
     assert 5 < (weight < 1).sum() < 30
     inverse = np.linalg.inv(expected_covariance(problem, shown, weight, walls))
     values = generator.normal(size=(*shown.shape, 3))
-    found = problem.whitened(values)
-    known = values[problem.seen]
+    found = problem.first.whitened(values)
+    known = values[problem.first.seen]
     expected = known.T @ inverse @ known
     np.testing.assert_allclose(found.T @ found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
-    np.testing.assert_allclose(problem.whitened(values[..., 1]), found[:, 1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(problem.first.whitened(values[..., 1]), found[:, 1], rtol=1e-9, atol=1e-9)
 
 
 def test_what_is_hidden_does_not_count() -> None:
@@ -189,13 +199,13 @@ def test_what_is_hidden_does_not_count() -> None:
     change = contact.sequence.change + errors_of(1)
     change[:3, :, REACH:] = np.nan
     problem = problem_of(with_change(contact, change))
-    np.testing.assert_array_equal(problem.seen, np.isfinite(change).reshape(len(TIMES), -1))
+    np.testing.assert_array_equal(problem.first.seen, np.isfinite(change).reshape(len(TIMES), -1))
     residual, information = problem.residual(logs_of()), problem.information(logs_of())
     assert np.isfinite(residual).all()
     values = np.random.default_rng(0).normal(size=change.shape).reshape(len(TIMES), -1)
-    other = np.where(problem.seen, values, 123.0)
-    np.testing.assert_allclose(problem.whitened(other), problem.whitened(values), atol=1e-9)
-    assert residual.shape == problem.whitened(values).shape
+    other = np.where(problem.first.seen, values, 123.0)
+    np.testing.assert_allclose(problem.first.whitened(other), problem.first.whitened(values), atol=1e-9)
+    assert residual.shape == problem.first.whitened(values).shape
     whole = problem_of(contact).information(logs_of())
     assert (np.linalg.eigvalsh(whole - information) > 0).all()
 
@@ -205,11 +215,11 @@ def test_an_error_of_the_rest_surface_costs_little() -> None:
     problem = problem_of(contact_of())
     factors = np.random.default_rng(3).normal(size=smooth_errors(SIGMA).shape[1])
     error = np.tile(smooth_errors(SIGMA) @ factors, (len(TIMES), 1))
-    costs = np.square(problem.whitened(5 * error)).sum()
+    costs = np.square(problem.first.whitened(5 * error)).sum()
     assert costs < 25 * factors @ factors
     assert costs < 0.25 * np.square(5 * error / SIGMA).sum()
     turned = 5 * error * np.where(np.arange(len(TIMES)) % 2, 1, -1)[:, None]
-    assert np.square(problem.whitened(turned)).sum() == pytest.approx(np.square(turned / SIGMA).sum(), rel=1e-6)
+    assert np.square(problem.first.whitened(turned)).sum() == pytest.approx(np.square(turned / SIGMA).sum(), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -276,8 +286,8 @@ def test_an_exact_sequence_leaves_nothing(size: tuple[int, int]) -> None:
     assert problem.misfit(logs_of()) < 1e-4
     # In it, what moves clearly is what sinks by more than three standard deviations at any time.
     largest = np.abs(contact_of(size=size).sequence.change).reshape(len(TIMES), -1).max(axis=0)
-    np.testing.assert_array_equal(problem.moving, largest > 3 * SIGMA)
-    assert 20 < problem.moving.sum() < PIXELS
+    np.testing.assert_array_equal(problem.first.moving, largest > 3 * SIGMA)
+    assert 20 < problem.first.moving.sum() < PIXELS
 
 
 def test_the_misfit_is_that_of_pixels_that_move() -> None:
@@ -288,7 +298,7 @@ def test_the_misfit_is_that_of_pixels_that_move() -> None:
     left = (seen - exact)[:, moving]
     assert problem.misfit(logs_of()) == pytest.approx(np.sqrt(np.square(left / SIGMA).mean()), rel=1e-4)
     assert problem.misfit(logs_of()) == pytest.approx(2, rel=0.1)
-    assert problem_of(contact, noise=4 * SIGMA).sequence.noise == SequenceNoise(4 * SIGMA, 0.0)
+    assert problem_of(contact, noise=4 * SIGMA).first.noise == SequenceNoise(4 * SIGMA, 0.0)
 
 
 def test_a_model_that_moves_nothing_does_not_explain_a_dent() -> None:
@@ -298,14 +308,14 @@ def test_a_model_that_moves_nothing_does_not_explain_a_dent() -> None:
     seen = contact.sequence.change.reshape(len(TIMES), -1).astype(np.float64)
     moving = (np.abs(seen) > 3 * SIGMA).sum(axis=0) >= 3
     assert moving.any()
-    np.testing.assert_array_equal(problem.moving, moving)
+    np.testing.assert_array_equal(problem.first.moving, moving)
     assert problem.misfit(nothing) == pytest.approx(np.sqrt(np.square(seen[:, moving] / SIGMA).mean()), rel=0.01)
     assert problem.misfit(nothing) > 3
     # Noise alone is no motion, nor are outliers in a frame or two.
     still = errors_of(5)
     for outliers, moves in ((0, 0), (2, 0), (3, 1)):
         still[2 : 2 + outliers, 0, 0] = 20 * SIGMA
-        assert problem_of(with_change(contact, still), nothing).moving.sum() == moves
+        assert problem_of(with_change(contact, still), nothing).first.moving.sum() == moves
 
 
 def test_the_error_of_the_steps_is_taken_off() -> None:
@@ -368,8 +378,8 @@ def test_a_contact_is_moved_to_where_its_dent_lies() -> None:
     assert contact.sequence is not None
     change = np.roll(contact.sequence.change, (1, -2), (1, 2))
     change[:, 0], change[:, :, -2:] = np.nan, np.nan
-    astray = dataclasses.replace(contact, sequence=dataclasses.replace(contact.sequence, change=change))
-    problem = SequenceProblem(astray, MECHANICS)
+    astray = contact.having(depth=dataclasses.replace(contact.sequence, change=change))
+    problem = dent_problem(astray, MECHANICS)
     problem.look(logs_of())
     found, aside = recentred(problem, logs_of())
     assert aside == (1, -2)

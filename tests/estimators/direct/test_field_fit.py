@@ -5,14 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct import contact_fit
 from palpate.estimators.direct.contact_fit import field_optima, field_starts, first_draws, raced, sampled
-from palpate.estimators.direct.field import SequenceProblem
-from palpate.estimators.direct.problem import APART, Optimum
+from palpate.estimators.direct.problem import APART, Optimum, dent_problem
 from palpate.estimators.direct.sampling import sample_posterior
 from palpate.estimators.estimate import PressResult
+from palpate.physics.depth import REACH
 from palpate.physics.identifiability import box_information, covariance
 from palpate.physics.mechanics import RECOMMENDED, Bounds
 from tests.estimators.direct import test_field as dents
@@ -22,12 +21,12 @@ BOX = Bounds((0.1, 1.0), (0.008, 0.2), (-0.2, -0.02), initial=(0.3, 0.05, -0.05)
 
 
 def fit(contact: Interaction, within: float = 0.0) -> PressResult:
-    problem = SequenceProblem(contact, MECHANICS, within)
+    problem = dent_problem(contact, MECHANICS, within)
     return sampled(problem, field_optima(problem, BOX), BOX)
 
 
 def starts_of(contact: Interaction) -> np.ndarray:
-    return field_starts(SequenceProblem(contact, MECHANICS), BOX)
+    return field_starts(dent_problem(contact, MECHANICS), BOX)
 
 
 def errors(estimate: PressResult, theta: tuple[float, float, float]) -> np.ndarray:
@@ -37,7 +36,7 @@ def errors(estimate: PressResult, theta: tuple[float, float, float]) -> np.ndarr
 
 def test_starts_are_the_candidates_that_explain_the_sequence_best() -> None:
     theta = REGIMES["critical"]
-    problem, starts = SequenceProblem(contact_of(theta), MECHANICS), starts_of(contact_of(theta))
+    problem, starts = dent_problem(contact_of(theta), MECHANICS), starts_of(contact_of(theta))
     assert 1 <= len(starts) <= problem.motion.starts
     assert ((starts >= BOX[0]) & (starts <= BOX[1])).all()
     for index, start in enumerate(starts):
@@ -49,12 +48,12 @@ def test_starts_are_the_candidates_that_explain_the_sequence_best() -> None:
     for start in starts:
         problem.look(start)
         costs.append(np.square(problem.residual(start)).sum())
-    assert costs[0] < 0.1 * np.square(problem.whitened(problem.observed)).sum()
+    assert costs[0] < 0.1 * np.square(problem.first.whitened(problem.first.observed)).sum()
 
 
 def test_starts_have_the_delay_that_suits_them() -> None:
     theta, delay = REGIMES["under-damped"], 0.5
-    problem = SequenceProblem(contact_of(theta, delay, delay), MECHANICS, WITHIN)
+    problem = dent_problem(contact_of(theta, delay, delay), MECHANICS, WITHIN)
     starts = field_starts(problem, problem.motion.box(BOX))
     assert starts.shape[1] == 5
     np.testing.assert_array_equal(starts[:, 3], starts[:, 4])

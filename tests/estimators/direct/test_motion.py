@@ -1,16 +1,18 @@
 """A press that began and ended at unknown instants: the delayed motion, its derivatives, what is left to know of θ."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.motion import about_tissue
-from palpate.estimators.direct.problem import ContactProblem
+from palpate.estimators.direct.motion import PressMotion, about_tissue
+from palpate.observations.base import JointLikelihood
+from palpate.observations.point import PointObservation
 from palpate.physics.identifiability import box_information, covariance
 from palpate.physics.load import Press, held
-from palpate.physics.mechanics import RECOMMENDED
+from palpate.physics.mechanics import RECOMMENDED, Mechanics
 from palpate.physics.msd.simulation import simulate
 from tests.estimators.direct import test_estimator as presses
 from tests.estimators.direct.test_estimator import LOAD, MECHANICS, MESH, NOISE, REGIMES, STEPS, contact_of
@@ -19,11 +21,17 @@ STEP = MECHANICS.time_step
 WITHIN = 0.02
 
 
-def problem_of(theta: tuple[float, float, float], within: float = WITHIN) -> ContactProblem:
-    return ContactProblem(contact_of(theta), MECHANICS, NOISE, within)
+def point_problem(
+    contact: Interaction, mechanics: Mechanics = MECHANICS, noise: float = NOISE, within: float = WITHIN
+) -> JointLikelihood:
+    return JointLikelihood([PointObservation(contact, noise)], partial(PressMotion, contact, mechanics, within=within))
 
 
-def path_of(problem: ContactProblem, values: np.ndarray) -> np.ndarray:
+def problem_of(theta: tuple[float, float, float]) -> JointLikelihood:
+    return point_problem(contact_of(theta))
+
+
+def path_of(problem: JointLikelihood, values: np.ndarray) -> np.ndarray:
     """Motion at the observations, shape [N, 3]."""
     return problem.motion.at(values)[0][:, 0]
 
@@ -44,11 +52,10 @@ def moved(theta: tuple[float, float, float], began: int, ended: int, released: b
 
 @pytest.mark.parametrize("theta", REGIMES.values(), ids=REGIMES)
 def test_without_delays_it_is_the_plain_problem(theta: tuple[float, float, float]) -> None:
-    plain, delayed = ContactProblem(contact_of(theta), MECHANICS, NOISE), problem_of(theta)
+    plain, delayed = point_problem(contact_of(theta), within=0.0), problem_of(theta)
     values = values_of(theta, 0.0, 0.0) + 0.1 * np.array([1.0, -1.0, 1.0, 0.0, 0.0])
     np.testing.assert_allclose(delayed.residual(values), plain.residual(values[:3]), atol=1e-6)
     np.testing.assert_allclose(delayed.jacobian(values)[:, :3], plain.jacobian(values[:3]), atol=1e-5)
-    np.testing.assert_array_equal(delayed.theta(values), plain.theta(values[:3]))
 
 
 @pytest.mark.parametrize(("began", "ended"), [(-4, -4), (3, 3), (8, -2), (-3, 5)])
@@ -66,11 +73,11 @@ def test_the_coarse_motion_is_off_by_less_than_the_noise(fps: float, load_frames
     contact = contact_of(REGIMES["under-damped"])
     observation = dataclasses.replace(contact.observation, times=np.arange(1, len(STEPS) + 1) / fps)
     load = dataclasses.replace(contact.load, factor=held(frame * load_frames, mechanics.steps))
-    contact = Interaction(contact.mesh, load, observation, mechanics.time_step)
-    problem = ContactProblem(contact, mechanics, 1e-3, 1 / fps)
+    contact = Interaction(contact.mesh, load, {"point": observation}, mechanics.time_step)
+    problem = point_problem(contact, mechanics, 1e-3, 1 / fps)
     for delays in ((0.0, 0.0), (0.37, -0.61), (-0.9, 0.2)):
         values = np.concatenate([np.log(np.abs(REGIMES["under-damped"])), delays])
-        apart = problem.coarse_paths(values[None])[0] - path_of(problem, values)
+        apart = problem.motion.coarse(values)[:, 0] - path_of(problem, values)
         assert np.abs(apart).max() < 0.3e-3
 
 
@@ -79,7 +86,7 @@ def test_a_press_that_was_not_seen_to_end_goes_on() -> None:
     theta = REGIMES["critical"]
     contact = contact_of(theta)
     load = dataclasses.replace(contact.load, factor=np.ones(MECHANICS.steps))
-    problem = ContactProblem(dataclasses.replace(contact, load=load), MECHANICS, NOISE, WITHIN)
+    problem = point_problem(dataclasses.replace(contact, load=load))
     assert problem.motion.box(RECOMMENDED.log_box).shape == (2, 4)
     found = path_of(problem, values_of(theta, -WITHIN))
     np.testing.assert_allclose(found, moved(theta, -round(WITHIN / STEP), 0, released=False), atol=1e-7)
@@ -88,7 +95,7 @@ def test_a_press_that_was_not_seen_to_end_goes_on() -> None:
 
 def test_a_release_in_the_last_frame_was_seen() -> None:
     theta, under = REGIMES["critical"], STEPS < LOAD
-    problem = ContactProblem(contact_of(theta).observed(under), MECHANICS, NOISE, WITHIN)
+    problem = point_problem(contact_of(theta).observed(under))
     values = values_of(theta, -3 * STEP, -3 * STEP)
     np.testing.assert_allclose(path_of(problem, values), moved(theta, -3, -3)[under], atol=1e-7)
 

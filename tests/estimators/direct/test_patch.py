@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import DepthSequence, SequenceNoise
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import Patches
 from palpate.estimators.direct.contact_fit import fit_press
-from palpate.estimators.direct.field import SequenceProblem
 from palpate.estimators.direct.motion import PressMotion
 from palpate.estimators.direct.patch import PatchMotion
+from palpate.estimators.direct.problem import dent_problem
+from palpate.physics.depth import DepthSequence, SequenceNoise
 from palpate.physics.load import Press, PressShape
 from palpate.physics.mechanics import RECOMMENDED
 from palpate.physics.msd.simulation import simulate
+from palpate.physics.patches import Patches
 from tests.estimators.direct import test_field as dents
 from tests.estimators.direct.test_field import MECHANICS, MESH, SIDE, THETA, TIMES, WITHIN, contact_of, logs_of
 
@@ -41,7 +41,7 @@ def sequence_of(shape: PressShape, theta=THETA, size: tuple[int, int] = dents.LA
     moved = pressed(shape, theta=theta, watch=patches.vertices)
     change = patches.shown(patches.sunk(moved), patches.covering(moved)).reshape(-1, SIDE, SIDE)
     sequence = DepthSequence(TIMES, change.astype(np.float32), SequenceNoise(dents.SIGMA, 0.0), size)
-    return dataclasses.replace(CONTACT, sequence=sequence)
+    return CONTACT.having(depth=sequence)
 
 
 @pytest.mark.parametrize("delays", [(), (0.3, -0.2)])
@@ -120,11 +120,11 @@ def test_a_press_of_any_shape_is_found_with_its_tissue() -> None:
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     """As random errors of that kind, drawn; where a pixel of the grid is one of the picture nothing is."""
     random, frames = np.random.default_rng(3), len(TIMES)
-    problem = SequenceProblem(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
+    problem = dent_problem(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
     rows, columns = np.mgrid[:SIDE, :SIDE]
     depth = 0.02 * np.exp(-((rows - 6.5) ** 2 + (columns - 8.0) ** 2) / 18)
     sunk = np.linspace(0.2, 1, frames)[:, None, None] * depth
-    found = problem.model_errors(sunk.reshape(frames, -1)).transpose(1, 0, 2).reshape(frames * SIDE**2, -1)
+    found = problem.first._model_errors(sunk.reshape(frames, -1)).transpose(1, 0, 2).reshape(frames * SIDE**2, -1)
     down, across = np.gradient(sunk, axis=(1, 2))
     share = np.sqrt(0.5)
     drawn = np.zeros((4000, frames, SIDE, SIDE))
@@ -135,6 +135,6 @@ def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
     places = np.concatenate([deep + (frames - 1) * SIDE**2, deep + 3 * SIDE**2])
     expected = np.cov(drawn.reshape(4000, -1)[:, places].T)
     np.testing.assert_allclose(found[places] @ found[places].T, expected, atol=0.1 * np.diag(expected).max())
-    coarse = SequenceProblem(sequence_of(SHAPE, size=dents.SIZE), MECHANICS, kind=PatchMotion)
-    assert coarse.model_errors(sunk.reshape(frames, -1)).shape[2] == 0
-    assert SequenceProblem(sequence_of(SHAPE), MECHANICS).model_errors(sunk.reshape(frames, -1)).shape[2] == 0
+    coarse = dent_problem(sequence_of(SHAPE, size=dents.SIZE), MECHANICS, kind=PatchMotion)
+    assert coarse.first._model_errors(sunk.reshape(frames, -1)).shape[2] == 0
+    assert dent_problem(sequence_of(SHAPE), MECHANICS).first._model_errors(sunk.reshape(frames, -1)).shape[2] == 0

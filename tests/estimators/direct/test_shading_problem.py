@@ -9,14 +9,16 @@ from palpate.data.contact.interaction import Interaction
 from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import ShadingSequence
 from palpate.estimators.direct import shading_fit
-from palpate.estimators.direct.lit_sheet import SIDE
 from palpate.estimators.direct.motion import FITTED
-from palpate.estimators.direct.shading import OTHERS, ShadingProblem, coded, without_amplitude
+from palpate.estimators.direct.shading_fit import shading_problem
 from palpate.estimators.estimate import NoEstimate
+from palpate.observations.base import JointLikelihood
+from palpate.observations.lit_sheet import SIDE
+from palpate.observations.shading import OTHERS, coded, without_amplitude
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import RECOMMENDED
 from palpate.physics.observation import Observation
-from tests.estimators.direct.test_lit_sheet import lit
+from tests.observations.test_lit_sheet import lit
 
 FRAME_S = 0.04
 TIMES = FRAME_S * np.arange(1, 11)
@@ -33,45 +35,48 @@ def lit_contact(noise: float = 0.02) -> Interaction:
     load = Press.at(sheet.vertex, sheet.normal, held(0.2 / FITTED.time_step, FITTED.steps))
     nothing = Observation.of_point(sheet.vertex, TIMES, np.full((len(TIMES), 3), np.nan), np.nan)
     sequence = ShadingSequence(TIMES, light.astype(np.float32), rest, noise)
-    return Interaction(sheet.mesh, load, nothing, FITTED.time_step, shading=sequence)
+    return Interaction(sheet.mesh, load, {"point": nothing, "shading": sequence}, FITTED.time_step)
 
 
 @pytest.fixture(scope="module")
-def problem() -> ShadingProblem:
-    return ShadingProblem(lit_contact(), FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
+def problem() -> JointLikelihood:
+    return shading_problem(lit_contact(), FITTED.matched(FRAME_S), 1.5 * FRAME_S, np.zeros(2))
 
 
-def start(problem: ShadingProblem) -> np.ndarray:
+def start(problem: JointLikelihood) -> np.ndarray:
     free = problem.box(RECOMMENDED.log_box).shape[1] - OTHERS - 3
-    return problem.start(np.concatenate([np.log([0.6, 0.05, 0.03]), np.zeros(free)]), np.zeros(2))
+    return problem.started(np.concatenate([np.log([0.6, 0.05, 0.03]), np.zeros(free)]))
+
+
+def predicted(problem: JointLikelihood, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Light, and the law's part of it."""
+    return problem.first.predicted(logs, problem.motion.quick(problem.press(logs)))
 
 
 def test_places_that_come_to_show_count_from_the_next_look_on(problem):
     """Else the sum of squares has steps, and optima are found at them."""
-    logs = start(problem)
+    logs, shading = start(problem), problem.first
     problem.look(logs)
-    shows = np.isfinite(problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))[0])
+    shows = np.isfinite(predicted(problem, logs)[0])
     harder = logs + np.array([0, 0, 2.5, *[0] * (len(logs) - 3)])  # tissue is shifted farther
-    light, _ = problem.predicted(harder, problem.motion.quick(harder[:-OTHERS]))
-    comes = np.isfinite(light) & ~shows & np.isfinite(problem.observed) & problem.sheet.inner.ravel()
+    light, _ = predicted(problem, harder)
+    comes = np.isfinite(light) & ~shows & np.isfinite(shading.observed) & shading.sheet.inner.ravel()
     assert comes.any()
-    assert (problem.compared(light)[1][comes] == 0).all()
+    assert (shading.compared(light)[1][comes] == 0).all()
     problem.look(harder)
-    assert (problem.compared(light)[1][comes] > 0).all()
+    assert (shading.compared(light)[1][comes] > 0).all()
 
 
 def test_derivatives_by_the_press_and_by_the_law(problem):
     logs = start(problem)
     logs[-1] = 0.0  # without a lag
-    light, slopes = problem.tangent(logs)
-    predicted, law = problem.predicted(logs, problem.motion.quick(logs[:-OTHERS]))
-    known = np.isfinite(light) & problem.sheet.inner.ravel()
-    np.testing.assert_allclose(light[known], predicted[known], atol=1e-3)
+    light, slopes = problem.first.tangent(*problem.motion.at(problem.press(logs)), logs)
+    expected, law = predicted(problem, logs)
+    known = np.isfinite(light) & problem.first.sheet.inner.ravel()
+    np.testing.assert_allclose(light[known], expected[known], atol=1e-3)
     np.testing.assert_allclose(slopes[..., -3][known], law[known], atol=2e-3)  # by the response's logarithm
     step = 1e-3 * np.eye(len(logs))[0]
-    ahead, behind = (
-        problem.predicted(each, problem.motion.quick(each[:-OTHERS]))[0][known] for each in (logs + step, logs - step)
-    )
+    ahead, behind = (predicted(problem, each)[0][known] for each in (logs + step, logs - step))
     numeric = (ahead - behind) / 2e-3
     assert np.linalg.norm(slopes[..., 0][known] - numeric) < 0.05 * np.linalg.norm(numeric)
 

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from palpate.data.contact.depth_sequence import SequenceRecorder
 from palpate.data.contact.interaction import Interaction, InteractionBuilder
 from palpate.data.contact.motion import LOST
 from palpate.data.contact.sequence_features import dent_features
@@ -20,7 +21,6 @@ from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
 from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.estimators.result import values_of
-from palpate.estimators.runs import contact_frame
 from palpate.physics.identifiability import NINETY
 from palpate.physics.load import held
 from palpate.physics.mechanics import theta_of
@@ -49,11 +49,13 @@ def with_sequence(pressed, frames: list[PreparedFrame]) -> Interaction:
 
 def built(pressed: SyntheticClip, frames: list[PreparedFrame], size: tuple[int, int] | None) -> Interaction:
     onset, *after = frames[pressed.motion.onset_frame :]
-    found, seen = onset.geometry, (contact_frame(onset), clip_info().geometry)
-    run = InteractionBuilder(found.mesh, found.vertex, found.normal, found.noise, *seen, MECHANICS.seconds, size)
+    found, seen = onset.geometry, (onset, clip_info().geometry)
+    place = found.mesh, found.vertex
+    recorders = {"depth": SequenceRecorder.of(*place, found.noise, size, onset)} if size else {}
+    run = InteractionBuilder(*place, found.normal, found.noise, *seen, MECHANICS.seconds, recorders)
     for frame in after:
         assert frame.track_start == onset.frame.index
-        run.add(contact_frame(frame))
+        run.add(frame)
     return run.build(MECHANICS)
 
 
@@ -73,7 +75,7 @@ def added_by(misfit: float, information: np.ndarray) -> np.ndarray:
 def moved(contact: Interaction, displacement: np.ndarray, noise: float | None = None) -> Interaction:
     """The same instants with other displacements [N, 3], and maybe another noise."""
     noise = contact.noise if noise is None else noise
-    return dataclasses.replace(contact, observation=contact.observation.moved(displacement, noise))
+    return contact.having(point=contact.observation.moved(displacement, noise))
 
 
 def prepared_roughly(network: NetworkEstimator, clip: SyntheticClip) -> list[PreparedFrame]:
@@ -171,7 +173,7 @@ def test_presses_unlike_the_training_s_are_told_in_part(network, contact, load, 
     observation = Observation.of_point(contact.vertex, np.arange(1, 26) / 25, np.ones((25, 3)), 0.001)
     factor = held(round(load / MECHANICS.time_step), round(6 / MECHANICS.time_step))
     press = dataclasses.replace(contact.load, factor=factor)
-    found = network.as_trained(dataclasses.replace(contact, observation=observation, load=press)).observation
+    found = network.as_trained(dataclasses.replace(contact.having(point=observation), load=press)).observation
     np.testing.assert_array_equal(found.times, observation.times[:told])
     np.testing.assert_array_equal(found.displacement, observation.displacement[:, :told])
 

@@ -8,8 +8,16 @@ import pytest
 from palpate.data.contact.features import SLOTS, contact_surroundings
 from palpate.data.synthetic.contacts import SimulatedContact, draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.estimators.direct.problem import ContactProblem
-from palpate.estimators.network.fits import MECHANICS, NOMINAL_NOISE, PARAMETERS, Fits, Fitted, motion_slopes
+from palpate.estimators.network.fits import (
+    MECHANICS,
+    NOMINAL_NOISE,
+    PARAMETERS,
+    Fits,
+    Fitted,
+    motion_slopes,
+    point_problem,
+)
+from palpate.observations.base import JointLikelihood
 from palpate.physics.mechanics import theta_of
 from palpate.physics.msd.simulation import simulate
 from tests.estimators.direct.test_field import central_differences
@@ -29,8 +37,8 @@ def simulated(contact: SimulatedContact, logs: np.ndarray) -> np.ndarray:
     return path[pressed.observation.steps(MECHANICS.time_step)]
 
 
-def exact(contact: SimulatedContact) -> ContactProblem:
-    return ContactProblem(contact.interaction, MECHANICS, NOMINAL_NOISE)
+def exact(contact: SimulatedContact) -> JointLikelihood:
+    return point_problem(contact.interaction)
 
 
 def test_fits_hold_what_they_are_made_of(contacts: list[SimulatedContact]) -> None:

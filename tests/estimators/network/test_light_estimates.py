@@ -30,13 +30,13 @@ def watched() -> list[PreparedFrame]:
     rest = np.random.default_rng(3).normal(-1, 0.1, (FINE * SIZE[1], FINE * SIZE[0])).astype(np.float32)
     first = FINE * (mesh.pixels[vertex] - REACH - MARGIN)
     window = tuple(slice(max(begin, 0), begin + SIDE) for begin in first)
-    frames = [prepared_frame(index, "no_contact", light=rest) for index in range(6)]
+    frames = [prepared_frame(index, "no_contact", make_light=lambda: rest) for index in range(6)]
     found = touched(mesh, vertex, np.array([0.0, 0.0, -1.0]), 0.001)
     known = {"track_start": 6, "track_position": mesh.vertices[vertex], "consecutive": True}
     for index in range(6, 16):
         light = rest.copy()
         light[window] -= 0.03 * (index - 6)
-        frames.append(prepared_frame(index, "ok", found, light=light, **known))
+        frames.append(prepared_frame(index, "ok", found, make_light=lambda light=light: light, **known))
     return frames
 
 

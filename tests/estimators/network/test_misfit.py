@@ -6,13 +6,13 @@ import functools
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import SequenceNoise
 from palpate.data.contact.interaction import Interaction
 from palpate.data.contact.sequence_features import motion_in_sequence
 from palpate.data.synthetic.contacts import draw_contacts
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.estimators.network.fits import MECHANICS
 from palpate.estimators.network.misfit import LARGEST_MISFIT, TAIL_PROBABILITY, compared, largest_misfit
+from palpate.physics.depth import SequenceNoise
 from palpate.physics.load import held
 from palpate.physics.mechanics import theta_of
 from palpate.physics.msd.simulation import simulate
@@ -33,7 +33,7 @@ def contact_of(within: float) -> tuple[Interaction, np.ndarray]:
     change = contact.sequence.change + generator.normal(0, NOISE, contact.sequence.change.shape).astype(np.float32)
     sequence = dataclasses.replace(contact.sequence, change=change, noise=SequenceNoise(NOISE, 0.0))
     observation = contact.observation.moved(contact.moved, NOISE)
-    return dataclasses.replace(contact, sequence=sequence, observation=observation), np.log(np.abs(drawn[0].theta))
+    return contact.having(depth=sequence, point=observation), np.log(np.abs(drawn[0].theta))
 
 
 @pytest.mark.parametrize("within", [0.0, 0.04])
@@ -50,7 +50,7 @@ def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> N
     other = np.array([0.3, -0.3, 0.3])
     assert compared(contact, MECHANICS, logs + other, np.outer(other, other) + SURE, within)[0] < 1.6 * misfit
     shown = contact.observation.moved(motion_in_sequence(contact), NOISE)
-    point = dataclasses.replace(contact, observation=shown, sequence=None)
+    point = contact.having(point=shown, depth=None)
     unlike, same, _ = compared(point, MECHANICS, logs, SURE, within)
     assert unlike > 1.5 * misfit
     np.testing.assert_allclose(information, same, rtol=1e-5)
@@ -59,14 +59,14 @@ def test_a_fine_picture_is_explained_by_what_its_pixels_show(within: float) -> N
 @pytest.mark.parametrize(("began", "ended", "left"), [(4, 4, 0.02), (-6, -6, 0.02), (4, 2, 0.25), (0, 5, 0.25)])
 def test_a_press_at_other_instants_is_explained_where_they_are_unknown(began: int, ended: int, left: float) -> None:
     """Both delays in steps."""
-    contact = dataclasses.replace(contact_of(0.0)[0], sequence=None)
+    contact = contact_of(0.0)[0].having(depth=None)
     logs, steps = np.log([0.4, 0.03, 0.05]), contact.observation.steps(MECHANICS.time_step)
     loaded = round(contact.load_seconds / MECHANICS.time_step) + ended - began
     press = dataclasses.replace(contact.load, factor=held(loaded, MECHANICS.steps + 6))
     path = simulate(theta_of(logs), contact.mesh, press, MECHANICS)
     since = steps - began
     moved = np.where((since >= 0)[:, None], path[np.maximum(since, 0)], 0)
-    late = dataclasses.replace(contact, observation=contact.observation.moved(moved, 0.001))
+    late = contact.having(point=contact.observation.moved(moved, 0.001))
     stamp, information, _ = compared(late, MECHANICS, logs, SURE, 0.0)
     between, same, _ = compared(late, MECHANICS, logs, SURE, 0.04)
     assert stamp > 1

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from palpate.data.contact.depth_sequence import REACH, smooth_errors
 from palpate.data.contact.features import SLOTS
 from palpate.data.contact.sequence_features import SHAPES, dent_shapes, motion_in_sequence, shape_amounts
 from palpate.data.synthetic.contacts import draw_contacts, hidden_by_tool
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.estimators.direct.field import SequenceProblem
+from palpate.estimators.direct.problem import dent_problem
 from palpate.estimators.network import fits
 from palpate.estimators.network.fits import FRAME_S, MECHANICS, PARAMETERS, DepthSequences, draw_sequence_errors
+from palpate.physics.depth import REACH, smooth_errors
 
 PIXELS = (2 * REACH + 1) ** 2
 
@@ -131,7 +131,7 @@ def test_an_exact_sequence_is_explained(within: float) -> None:
         assert not slopes[:, 3:].any()
         assert not tangents[..., 3:].any()
     # Of the amounts, derivatives are those of what the pixels show.
-    field = SequenceProblem(contact, MECHANICS, within, fits.NOMINAL_NOISE)
+    field = dent_problem(contact, MECHANICS, within, fits.NOMINAL_NOISE)
     own = logs[: 5 if within else 3]
     field.look(own)
     for column, step in enumerate(1e-4 * np.eye(len(own))[:3]):

@@ -83,9 +83,7 @@ def test_a_frame_tells_what_was_done():
 
 
 def test_a_frame_that_shows_nothing_is_simulated_alone():
-    session, plain = (
-        Session(Objective(BODY, GRIPPED), START, how) for how in (Method(optimizer="adam"), Method("PBD"))
-    )
+    session, plain = (Session(Objective(BODY, GRIPPED), START, m) for m in (Method(optimizer="adam"), Method("PBD")))
     places = BODY.rest[GRIPPED] + path(4)[0]
     blind = session.step(places, [])
     assert (blind.gap, blind.terms) == (None, None)

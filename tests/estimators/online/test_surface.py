@@ -63,7 +63,7 @@ def test_a_bent_surface_is_followed_along_smoothed_normals() -> None:
 
 def test_an_instrument_far_from_the_tissue_is_a_sentence() -> None:
     frame = first_frame()
-    left = frame.view[1][:, :120]  # the grid's labels are some of these
+    left = frame.picture_labels[:, :120]  # the grid's labels are some of these
     left[left == TISSUE] = OTHER
     with pytest.raises(NoEstimate, match=r"No tissue lies within 24 px of the instrument in frame 7\."):
         make_surface(frame, CAMERA, GEOMETRY, PARTICLES)

@@ -8,11 +8,11 @@ import pytest
 
 from benchmarks.palpation.synthetic import BODIES, observe, press
 from palpate.data.source.sequence import moved
-from palpate.estimators.palpation import FitSettings, Palpation, Skin, fit_material
-from palpate.estimators.palpation.bench import Bench
+from palpate.estimators.palpation.bench import Bench, Palpation
 from palpate.estimators.palpation.gauss_newton import states_of
-from palpate.estimators.palpation.material_fit import NOTHING
+from palpate.estimators.palpation.material_fit import NOTHING, FitSettings, fit_material
 from palpate.estimators.palpation.registration import MOST_ALIGNED, thinned
+from palpate.estimators.palpation.skin import Skin
 from palpate.physics.fem import Material
 
 BODY = dataclasses.replace(BODIES["slab"], size=0.08)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.estimators.palpation import cover
-from palpate.estimators.palpation.skin import Match
+from palpate.estimators.palpation.skin import Match, cover
 from palpate.physics.fem import Solid, box, make_solid
 
 

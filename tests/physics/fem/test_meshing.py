@@ -11,10 +11,8 @@ from palpate.physics.fem.surface import areas, nearest
 
 def globe(rows: int = 12, columns: int = 24) -> tuple[np.ndarray, np.ndarray]:
     """A unit sphere of latitudes and longitudes."""
-    polar, around = np.meshgrid(
-        np.linspace(0, np.pi, rows + 1), 2 * np.pi * np.arange(columns) / columns, indexing="ij"
-    )
-    places = [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)]
+    polar, turn = np.meshgrid(np.linspace(0, np.pi, rows + 1), 2 * np.pi * np.arange(columns) / columns, indexing="ij")
+    places = [np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)]
     return np.stack(places, axis=-1).reshape(-1, 3), strip(rows, columns)
 
 

@@ -78,11 +78,7 @@ box = st.tuples(*(st.floats(low, high) for low, high in zip(Bounds().lower, Boun
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    theta=box,
-    scheme=st.sampled_from(["euler", "dkd"]),
-    mesh=st.sampled_from([sheet(7, 7), loose(sheet(7, 7))]),
-)
+@given(theta=box, scheme=st.sampled_from(["euler", "dkd"]), mesh=st.sampled_from([sheet(7, 7), loose(sheet(7, 7))]))
 def test_motion_is_finite_on_the_whole_box(theta, scheme, mesh):
     mesh, load = batch_of([mesh], [24])
     values = torch.tensor([theta], dtype=torch.float32, requires_grad=True)

@@ -153,9 +153,7 @@ def test_momentum_of_a_free_undamped_mesh_is_the_impulse():
 def test_energy_without_load(scheme):
     def relative_error(refinement, damping):
         mesh = sheets.sheet(7, 8)
-        mechanics = Mechanics(
-            time_step=1e-3 / refinement, steps=1000 * refinement, load_steps=20 * refinement, scheme=scheme
-        )
+        mechanics = Mechanics(0.001, 1e-3 / refinement, 1000 * refinement, 20 * refinement, scheme)
         theta = (0.8, damping, -0.02)
         load = press_on(mesh, 27, contact_normal(mesh, 27), mechanics)
         field = sheets.whole_field(theta, mesh, load, mechanics, dtype=np.float64)

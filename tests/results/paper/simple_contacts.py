@@ -1,6 +1,5 @@
 """Small contacts and test records for the tests of the evaluation."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -28,7 +27,7 @@ def contact(theta, vertex=14, load_steps=20, noise=0.0, seed=0):
     """A contact whose observation is the simulation with θ, plus noise [scene units]."""
     load = Press.at(vertex, np.array([0.0, 0.0, -1.0], np.float32), held(load_steps, MECHANICS.steps))
     unseen = Observation.of_point(vertex, MECHANICS.times[STEPS], np.zeros((len(STEPS), 3)), math.nan)
-    still = Interaction(sheet(), load, unseen, MECHANICS.time_step)
+    still = Interaction(sheet(), load, {"point": unseen}, MECHANICS.time_step)
     (trajectory,), _ = simulate_contacts(np.asarray(theta), [still], MECHANICS)
     jitter = np.random.default_rng(seed).normal(0, noise, (len(STEPS), 3)) if noise else 0.0
     return observing(still, trajectory[STEPS] + jitter)
@@ -36,7 +35,7 @@ def contact(theta, vertex=14, load_steps=20, noise=0.0, seed=0):
 
 def observing(one, displacement):
     """The same contact with other displacements [N, 3] [scene units]."""
-    return dataclasses.replace(one, observation=one.observation.moved(displacement, math.nan))
+    return one.having(point=one.observation.moved(displacement, math.nan))
 
 
 def record(theta, estimate, clip="a", frame=0, **changes):

@@ -36,7 +36,9 @@ def test_an_estimator_that_follows_the_truth_beats_the_constant(followed):
 
 def test_errors_of_the_baselines_are_simulated_on_the_test_frames(followers, followed):
     ordered = sorted(followers, key=lambda one: (one["clip"], one["frame"]))
-    first = Interaction(*(ordered[0][name] for name in ("mesh", "load", "observation")), MECHANICS.time_step)
+    first = Interaction(
+        ordered[0]["mesh"], ordered[0]["load"], {"point": ordered[0]["observation"]}, MECHANICS.time_step
+    )
     row, mean = followed.tables["per_frame.csv"].iloc[0], np.mean([one["theta"] for one in followers], axis=0)
     for name, theta in (("error_constant", followed.constant), ("error_mean_theta", mean)):
         assert row[name] == pytest.approx(simulate_contacts(theta, [first], MECHANICS)[1][0], rel=1e-4)

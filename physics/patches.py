@@ -8,10 +8,12 @@ what they show.
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from palpate.data.contact.depth_sequence import REACH
 from palpate.physics.jit import inlined, kernel
 from palpate.physics.mesh import Mesh, focal_length
 
+REACH = 7
+"""Pixels up to so many rows and columns from the contact are compared: of nine simulated contacts, those up to 6 away
+held all but a twentieth of what all determine, those up to 8 all but a hundredth."""
 MAX_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""
 ITERATIONS = 12
@@ -150,19 +152,6 @@ class Patches:
         # What a pixel shows lies at x with x + shift(x) = pixel.
         inverse = np.linalg.inv(np.eye(2) + np.nan_to_num(gradient[..., 1:, :]))
         return np.nan_to_num(-np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting))
-
-    def seen(self, moved: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Change of every pixel's depth since rest, and its derivatives, with what it shows decided at this motion.
-
-        Args:
-            moved, slopes: displacements [N, V, 3] and their derivatives [N, V, 3, D].
-
-        Returns:
-            Shapes [N, P] and [N, P, D]; not a number where a pixel shows nothing known.
-        """
-        covering = self.covering(moved)
-        tangent = self.shown(self.sunk_slopes(moved, slopes), covering) + self.turning(moved, slopes)
-        return self.shown(self.sunk(moved), covering), tangent
 
     def steepness(self, moved: np.ndarray) -> np.ndarray:
         """How much its neighbours differ from a pixel, where it is the mean of several, at displacements [N, V, 3].

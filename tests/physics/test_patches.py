@@ -6,9 +6,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from benchmarks.recovery.trial import observed_contacts
-from palpate.data.contact.depth_sequence import REACH
 from palpate.data.contact.interaction import Interaction
-from palpate.data.contact.patches import MAX_SHIFT, Patches, footprint
 from palpate.data.source.camera import Camera, back_project
 from palpate.data.synthetic.clip import draw_truth, synthetic_clip
 from palpate.data.synthetic.scene import Scene
@@ -16,7 +14,9 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import PREPARE, open_synthetic
 from palpate.data.synthetic.truth import TrueMotion
 from palpate.estimators.contract import ClipInfo
+from palpate.physics.depth import REACH
 from palpate.physics.mesh import Mesh, grid_mesh
+from palpate.physics.patches import MAX_SHIFT, Patches, footprint
 
 WIDTH, HEIGHT = 64, 48
 CAMERA = Camera(fx=90.0, fy=80.0, cx=30.5, cy=21.0, width=WIDTH, height=HEIGHT)

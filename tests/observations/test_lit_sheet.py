@@ -5,7 +5,7 @@ import numpy as np
 from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import MARGIN, REACH
 from palpate.data.source.camera import Camera, back_project
-from palpate.estimators.direct.lit_sheet import SIDE, LitSheet
+from palpate.observations.lit_sheet import SIDE, LitSheet
 from palpate.physics.mesh import grid_mesh
 from palpate.physics.shading import log_brightness
 

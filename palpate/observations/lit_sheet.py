@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from palpate.data.contact.patches import between as between_vertices
-from palpate.data.contact.patches import bilinear, corner
 from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import MARGIN, REACH
 from palpate.physics.jit import kernel
-from palpate.physics.mesh import Mesh, focal_length, grid_mesh
+from palpate.physics.mesh import Mesh, contact_normal, focal_length, grid_mesh
+from palpate.physics.patches import between as between_vertices
+from palpate.physics.patches import bilinear, corner
 from palpate.physics.shading import log_brightness, matt, mirrored
 
 SIDE = 2 * (REACH + MARGIN) + 1
@@ -44,10 +44,11 @@ class LitSheet:
         mesh: tissue at rest; its grid, camera, outline and the contact's distance count, not its shape.
         vertex: the contact.
         rest: light at rest, as in `ShadingSequence`.
-        tilt: of the plane, right and down, as tangents against the plane that faces the camera.
+        tilt: of the plane, right and down, as tangents against the plane that faces the camera; None = the mesh itself
+            is simulated, whose tilt at the contact is the plane's.
     """
 
-    def __init__(self, mesh: Mesh, vertex: int, rest: np.ndarray, tilt: np.ndarray) -> None:
+    def __init__(self, mesh: Mesh, vertex: int, rest: np.ndarray, tilt: np.ndarray | None) -> None:
         self.focal = focal_length(mesh)[::-1]  # by rows and columns
         rays = mesh.vertices[:, :2].astype(np.float64) / mesh.vertices[:, 2:]
         self.middle = (mesh.pixels - rays[:, ::-1] * self.focal).mean(axis=0)
@@ -58,8 +59,10 @@ class LitSheet:
         self.ray = self.rays(self.pixel.astype(np.float64))
         self._sideways = np.linalg.svd(self.ray[None])[2][1:]
         self._sideways *= np.where(np.diag(self._sideways) < 0, -1.0, 1.0)[:, None]
-        self.tilt, self.normal = np.array(tilt, np.float64), self.normal_at(tilt)
-        self.mesh = self._plane(mesh)
+        normal, facing = contact_normal(mesh, vertex).astype(np.float64), -self.ray / np.linalg.norm(self.ray)
+        self.tilt = self._sideways @ normal / (facing @ normal) if tilt is None else np.array(tilt, np.float64)
+        self.normal = self.normal_at(self.tilt)
+        self.mesh = mesh if tilt is None else self._plane(mesh)
         offsets = self.mesh.pixels - self.pixel
         self.vertex = int(np.flatnonzero((offsets == 0).all(axis=1))[0])
         self.vertices = np.flatnonzero((np.abs(offsets) <= REACH + MARGIN).all(axis=1))

@@ -70,7 +70,7 @@ demo: $(INSTALLED)
 	@echo
 	@echo "table 2:  $(DEMO)/training/evaluation/table_2.csv"
 	@echo "network:  $(DEMO)/parameters.onnx"
-	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, forces.json, overlay.mp4, fit.png, run.json)"
+	@echo "results:  $(DEMO)/results/*/ (parameters.csv, interactions.csv, results.json, forces.json, overlay.mp4, fit.png, run.json)"
 	@ls -1 $(DEMO)/results/*/parameters.csv $(DEMO)/results/*/overlay.mp4 $(DEMO)/results/*/fit.png
 	@echo
 	@echo "One clip compared with its truth: by the shipped network, by the one just trained, and by fitting the simulator"

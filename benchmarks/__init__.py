@@ -6,7 +6,7 @@ path_traced  presses in videos by a renderer that shares no code with this proje
 compare_with_truth  results of `palpate infer` on synthetic clips
 real         real clips, judged on frames kept back from the fit
 online       Table II of Liang 2024: the online estimator on simulated pulls
-palpation    moduli from simulated palpations, as of Frank 2010
+palpation    moduli from simulated palpations, as in Frank 2010
 instruments  automatic masks against outlines that people drew
 inference    time of networks and of whole videos
 alarm        false alarms of a limit of force against missed crossings

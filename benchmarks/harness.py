@@ -32,7 +32,7 @@ from palpate.results.store import OutputError, make_output, writing
 
 RESULTS, RECORD = "results.jsonl", "run.json"
 MOST_BYTES = 2**27
-"""Of a file of results; tens of thousands are smaller."""
+"""Largest size of a file of results; tens of thousands are smaller."""
 
 OK = "ok"
 

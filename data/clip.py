@@ -37,7 +37,7 @@ from palpate.data.source.layout import InputError
 from palpate.data.source.repeats import mark_repeats
 
 STAGES = 4
-"""That run side by side: what a frame shows by itself, whether anything touches, estimates, and whoever draws them."""
+"""Number of concurrent pipeline stages: preparation of a frame, contact, estimation and drawing."""
 AHEAD, WHILE_FITTING = 4, 32
 """Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
@@ -101,7 +101,7 @@ class ClipStream:
             except InputError as error:
                 self._scale_error = str(error)
         self.metres, self.warnings = self._depth.metres, self._depth.warnings
-        """As of `DepthSource`."""
+        """Length of a unit and warnings, as `DepthSource` has them."""
         if picture is None and focal is not None:
             picture = Camera.from_focal(focal, width, height)
         elif picture is None:
@@ -129,7 +129,7 @@ class ClipStream:
     def overlapped(
         self, most: int = AHEAD, decided: int = WHILE_FITTING, noticed: Noticed = None
     ) -> Iterator[PreparedFrame]:
-        """The same frames, while threads prepare the next ones and decide about their contact.
+        """Yield the same frames, while threads prepare the next ones and decide about their contact.
 
         Args:
             most: prepared frames that wait for their decision; each makes what follows a frame's time later. 0 = none,
@@ -265,8 +265,8 @@ class ClipStream:
     def _judge(self, prepared: PreparedFrame, depth_error: str) -> PreparedFrame:
         """Contact and mesh, or the status that says why there is none."""
         try:
-            seen = prepared.depth, prepared.labels, self.camera, self.settings.geometry
-            geometry = frame_geometry(*seen, ends=prepared.ends)
+            view = prepared.depth, prepared.labels, self.camera, self.settings.geometry
+            geometry = frame_geometry(*view, ends=prepared.ends)
         except GeometryStatus as status:
             prepared.status, prepared.distance = status.status, status.distance
             prepared.detail = depth_error if status.status == "bad_depth" and depth_error else status.detail

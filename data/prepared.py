@@ -50,7 +50,7 @@ class PreparedFrame:
     undecided: bool = False
     """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
     make_light: Callable[[], np.ndarray] | None = None
-    """Return the logarithm of the tissue's light, as of `data.shading.light.log_light`; None where it isn't looked
+    """Return the logarithm of the tissue's light, as in `data.shading.light.log_light`; None where it isn't looked
     at."""
     light_view: View | None = None
     """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""

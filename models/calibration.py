@@ -29,8 +29,8 @@ class Widths:
     bend: Triple = (0.0, 0.0, 0.0)
     """Coefficients of the squared distance of log σ from the middle of `middle_range`."""
     middle_range: tuple[float, float] = (0.0, 0.0)
-    """Of log σ among the clips that it was fitted to, but for their lowest and highest twentieth. The distance doesn't
-    grow beyond."""
+    """Range of log σ among the clips that it was fitted to, but for their lowest and highest twentieth. The distance
+    doesn't grow beyond."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,12 @@ class Calibration:
     """Widths by what was observed of a contact, and which of its features say what was."""
 
     whole: Widths = Widths()
-    """Of contacts observed through their release."""
+    """Widths of contacts observed through their release."""
     pressed: Widths = Widths()
-    """Of contacts whose release has not been observed; used where `known_features` are given."""
+    """Widths of contacts whose release has not been observed; used where `known_features` are given."""
     between: Widths = Widths()
-    """Of presses whose instants are not known, where they make it wider; used where `within_features` are given."""
+    """Widths of presses whose instants are not known, where they make it wider; used where `within_features` are
+    given."""
     noise_features: tuple[int, ...] = ()
     """Features whose sum is log σ."""
     known_features: tuple[int, ...] = ()

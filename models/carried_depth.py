@@ -83,7 +83,8 @@ class _Surroundings:
         """Depth at rest, and 1 where there is tissue, shape [B, 2, S, S]."""
         cameras = np.stack([np.diag([*focal_length(mesh), 1.0]) for mesh in meshes])
         self._camera = torch.from_numpy(cameras[:, None]).to(like)
-        """Of a camera that sees a mesh's vertices as far apart as its pixels are, shape [B, 1, 3, 3] [grid px]."""
+        """Intrinsics of a camera that sees a mesh's vertices as far apart as its pixels are, shape [B, 1, 3, 3] [grid
+        px]."""
         centre = torch.from_numpy(centres)
         steps = torch.arange(MAP_SIDE, device=like.device)
         grid = torch.stack(torch.meshgrid(steps, steps, indexing="ij"))

@@ -33,7 +33,7 @@ from palpate.physics.msd.batch import PairBatch
 UNTRAINED = "picture.weight", "picture.bias"
 """Parameters of a pretrained posterior that its file does not hold."""
 TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
-"""Of `models.records.pair_records`, those whose means are logged."""
+"""Errors of `models.records.pair_records`, those whose means are logged."""
 Own = TypeVar("Own")
 
 

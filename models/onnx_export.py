@@ -150,7 +150,7 @@ def write(
         tolerance: the largest that counts as agreement; None = PARITY_TOLERANCE.
 
     Raises:
-        ForeignFile, ParityError: as of `export`, or its numbers are not finite.
+        ForeignFile, ParityError: as in `export`, or its numbers are not finite.
     """
     most = PARITY_TOLERANCE if tolerance is None else tolerance
     onnx.helper.set_model_props(model, {METADATA_KEY: as_json(document, ensure_ascii=False, sort_keys=True)})

@@ -187,7 +187,7 @@ class PosteriorModel(ExportedModel):
 
 
 def open_model(path: str | Path, threads: int | None = None, device: str = AUTO) -> ParameterModel | PosteriorModel:
-    """Open a file as the kind it is; arguments and errors as of `ExportedModel`."""
+    """Open a file as the kind it is; arguments and errors as in `ExportedModel`."""
     posterior = ExportedModel(path, threads, device).metadata.get("head") == POSTERIOR
     return PosteriorModel(path, threads, device) if posterior else ParameterModel(path, threads, device)
 

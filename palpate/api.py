@@ -40,7 +40,7 @@ def estimate(
     Args:
         clip: a video file, a folder of frames, or a clip opened for this estimator.
         estimator: its name, or opened; None = the network that comes along.
-        choices: as of `open_clip`, where the clip is a path.
+        choices: as in `open_clip`, where the clip is a path.
 
     Returns:
         One a run, in order: `interaction` holds what was observed, `estimate` or `grip` what follows from it, `verdict`
@@ -55,15 +55,15 @@ def estimate(
             raise TypeError(f"the clip is open already; give {', '.join(choices)} to open_clip.")
     else:
         clip = open_clip(clip, opened, **choices)
-    said = estimates_of(opened.start(ClipInfo.of(clip)), clip)
-    return [item for item in said if isinstance(item, InteractionEstimate)]
+    outputs = estimates_of(opened.start(ClipInfo.of(clip)), clip)
+    return [item for item in outputs if isinstance(item, InteractionEstimate)]
 
 
 def calibrate(scene: str | Path) -> MaterialFit:
     """Young's modulus [Pa] and Poisson's ratio from surfaces under known forces (Frank 2010, section IV).
 
     Args:
-        scene: YAML file as of `palpate calibrate palpation`.
+        scene: YAML file as in `palpate calibrate palpation`.
 
     Raises:
         InputError: the scene can't be used.
@@ -77,7 +77,7 @@ def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Pl
     """The cheapest path of an instrument's tip past tissue that gives way (Frank 2010, section VII).
 
     Args:
-        scene: YAML file as of `palpate plan`.
+        scene: YAML file as in `palpate plan`.
         cache: folder of simulated presses and road maps, which is filled where it lacks any.
         alpha: 0 = the shortest path, 1 = the gentlest; None = as the scene has it.
 

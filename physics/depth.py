@@ -36,7 +36,7 @@ STILL_NEW = 0.05
 WALL = 0.08
 """Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it."""
 PARTIAL = 0.3
-"""The same beside what an instrument hides: there a pixel of the grid is the mean of a part of its area."""
+"""Standard deviation beside what an instrument hides: there a pixel of the grid is the mean of a part of its area."""
 STEP = math.sqrt(12)
 """Rounding step whose error has a standard deviation of σ [σ]."""
 ROUNDING_REACH, INDEPENDENT = 3.0, 0.2
@@ -55,7 +55,7 @@ class SequenceNoise:
     correlated_in_time: float = 1.0
     """Independent pixels are this many times fewer than pixels: neighbours' new errors go together."""
     correlated_in_place: float = 1.0
-    """The same of errors that stay."""
+    """Number of pixels that count as one, for errors that stay."""
 
     @property
     def rounded(self) -> bool:
@@ -99,7 +99,7 @@ class DepthLikelihood:
         mesh, vertex: tissue at rest, and the contact.
         sequence: one frame or more.
         noise: σ of every pixel in every frame [scene units]; None = as the sequence says.
-        reach, parts: as of `Patches`.
+        reach, parts: as in `Patches`.
         partial: as PARTIAL.
         astray, uneven: standard deviations of a whole frame's error where a pixel of the grid is the mean of several:
             how far aside what pixels show lies, by axis [grid pixels], and of the depth of dents, as a share. Half of
@@ -134,7 +134,7 @@ class DepthLikelihood:
     def see(self, moved: np.ndarray) -> np.ndarray:
         """Decide what the pixels show, as `look`; returns the change of their depth, shape [N, P]."""
         self.covering = self.patches.covering(moved)
-        """Of `Patches`, shape [N, P, K]."""
+        """Cover of the pixels as `Patches` gives it, shape [N, P, K]."""
         self._turning: np.ndarray | float = 0.0
         change, total = self.change(moved), self.noise.total
         self.seen = np.isfinite(change - self.observed)
@@ -145,7 +145,7 @@ class DepthLikelihood:
         """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
         self._walls = np.square(self._unevenness * self.patches.steepness(moved))
         self.blurs = self.patches.blurs(moved, self.covering)
-        """As of `Patches`, shape [P, N, 2], or of no columns."""
+        """See `Patches`, shape [P, N, 2], or of no columns."""
         return change
 
     def look(
@@ -216,7 +216,7 @@ class DepthLikelihood:
         return found[:, 0] if values.ndim == 2 else found
 
     def linearise(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray | None = None) -> Linearised:
-        """Whitened simulated minus observed change, and its derivatives; arguments as of `look`."""
+        """Whitened simulated minus observed change, and its derivatives; arguments as in `look`."""
         change, tangent = self.change(moved, logs), self.tangent(moved, slopes)
         return Linearised(self.whitened(change - self.observed), self.whitened(tangent))
 

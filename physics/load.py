@@ -55,7 +55,7 @@ class Press:
             mesh, vertex: the place is a vertex of a mesh,
             offset: or so many rows and columns from it [grid pixels].
             radius: R [grid pixels]. Where no vertex is so near, the nearest one bears the whole force.
-            direction, factor: as of `Press`.
+            direction, factor: as in `Press`.
 
         Raises:
             ValueError: the radius is not positive.
@@ -81,7 +81,7 @@ class Press:
         return len(self.factor)
 
     def until(self, steps: int) -> "Press":
-        """The same over its first steps."""
+        """Return the press over its first steps."""
         return replace(self, factor=self.factor[:steps])
 
 
@@ -116,7 +116,7 @@ class Grip:
         return len(self.displacement)
 
     def until(self, steps: int) -> "Grip":
-        """The same over its first steps."""
+        """Return the grip over its first steps."""
         return replace(self, displacement=self.displacement[:steps])
 
 
@@ -154,13 +154,13 @@ class PressShape:
     radius: float = 0.0
     """R of `Press.on_patch` [grid pixels]; 0 = on one vertex."""
     offset: Pair = (0.0, 0.0)
-    """Of the patch's middle from the contact vertex, rows and columns [grid pixels]."""
+    """Offset of the patch's middle from the contact vertex, rows and columns [grid pixels]."""
     rise: float = 0.0
     """How long the force takes to rise to F [s]."""
     fall: float = 0.0
     """How long it takes to fall from F to nothing, before the load's end [s]."""
     lean: Pair = (0.0, 0.0)
-    """Of the direction along which a positive F acts: its part along the surface, towards the picture's right and
+    """Lean of the direction along which a positive F acts: its part along the surface, towards the picture's right and
     towards its lower side, over that along the normal."""
 
     def leaning(self, normal: np.ndarray) -> np.ndarray:
@@ -173,7 +173,7 @@ class PressShape:
         return found / np.linalg.norm(found)
 
     def factor(self, seconds: float, time_step: float, steps: int) -> np.ndarray:
-        """Share of F in each step, shape [steps]; arguments as of `press`."""
+        """Share of F in each step, shape [steps]; arguments as in `press`."""
         rise, fall = self.rise / time_step, self.fall / time_step
         return ramped(rise, seconds / time_step - rise - fall, fall, steps)
 
@@ -181,7 +181,7 @@ class PressShape:
         """The load of this shape.
 
         Args:
-            mesh, vertex: as of `Press.on_patch`.
+            mesh, vertex: as in `Press.on_patch`.
             normal: of the surface, shape [3].
             seconds: time under load; infinite where it does not end.
             time_step, steps: of the simulation [s].

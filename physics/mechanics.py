@@ -16,7 +16,7 @@ from palpate.physics.mesh import incidence
 PARAMETERS = ("stiffness", "damping", "force")
 """Order of θ = [k_s, k_d, F] everywhere."""
 SIGNS = (1.0, 1.0, -1.0)
-"""Of θ where φ = (log k_s, log k_d, log |F|) is known: F presses."""
+"""Signs of θ where φ = (log k_s, log k_d, log |F|) is known: F presses."""
 
 REFERENCE_STIFFNESS = 5.34
 REFERENCE_DAMPING = 0.127
@@ -54,7 +54,7 @@ class Mechanics(Checked, group="mechanics."):
             raise ValueError(f"mechanics.load_steps is {self.load_steps}; give 0 to {self.steps} (mechanics.steps).")
 
     def matched(self, interval: float) -> Self:
-        """The same over the same time, with the largest step of at most Δt that divides an interval [s].
+        """Return the mechanics over the same time, with the largest step of at most Δt that divides an interval [s].
 
         Observations at multiples of the interval then lie on steps; rounding them to the nearest step would shift a
         30 Hz clip's by up to a quarter of a step's worth of motion.

@@ -23,7 +23,7 @@ class Linearised(NamedTuple):
 
     @property
     def gradient(self) -> np.ndarray:
-        """Of the misfit by φ, shape [D]."""
+        """Gradient of the misfit by φ, shape [D]."""
         return self.jacobian.T @ self.residual
 
     @property
@@ -103,14 +103,15 @@ class Observation:
         return np.rint(self.times / time_step).astype(np.int64) - 1
 
     def chosen(self, instants: np.ndarray) -> "Observation":
-        """The same at some of its instants: a mask [N] or indices."""
+        """Return the observation at some of its instants: a mask [N] or indices."""
         noise = self.noise
         if np.ndim(noise) >= 2 and np.shape(noise)[-2] == len(self.times):
             noise = noise[..., instants, :]
         return replace(self, times=self.times[instants], displacement=self.displacement[:, instants], noise=noise)
 
     def moved(self, displacement: np.ndarray, noise: float) -> "Observation":
-        """The same instants with other displacements, of shape [M, N, 3] or [N, 3], and another noise on every axis."""
+        """Return the observation at instants with other displacements, of shape [M, N, 3] or [N, 3], and another noise
+        on every axis."""
         displacement = np.asarray(displacement, np.float32).reshape(self.displacement.shape)
         return replace(self, displacement=displacement, noise=np.full(3, noise, np.float64))
 

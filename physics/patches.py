@@ -23,7 +23,8 @@ EXACT = 1e-3
 SETTLED = 0.05
 """What still moves by more than this in the last of them lies in a fold [grid pixels]."""
 MAX_SAMPLES = 6
-"""Of larger pictures as many places a pixel of the grid, evenly spread, stand for its pixels along an axis."""
+"""Most samples a pixel: in larger pictures as many places a pixel of the grid, evenly spread, stand for its pixels
+along an axis."""
 
 BLUR = 0.7
 """Standard deviation of a blur of the depth by its sensor that is as likely as none [grid pixels]."""
@@ -64,7 +65,7 @@ class Patches:
         shape = (side, side, down, across)
         places = (rows[0] - centre[0])[:, None, :, None], (columns[0] - centre[1])[None, :, None, :]
         self._places = np.stack([np.broadcast_to(part, shape) for part in places], axis=-1) + reach
-        """Of the picture's pixels in the square around the contact, shape [side, side, rows, columns, 2]."""
+        """Places of the picture's pixels in the square around the contact, shape [side, side, rows, columns, 2]."""
         self.weights = (rows[1][:, None, :, None] * columns[1][None, :, None, :]).reshape(side * side, down * across)
         """Share of every sample in its pixel of the grid, shape [P, K]."""
         self.averages = self.weights.shape[1] > 1
@@ -75,7 +76,7 @@ class Patches:
         return self._number()[MAX_SHIFT:-MAX_SHIFT, MAX_SHIFT:-MAX_SHIFT].ravel()
 
     def _number(self) -> np.ndarray:
-        """The same on the whole square of pixels around the contact, shape [S, S]."""
+        """Vertex in each pixel of the whole square of pixels around the contact, shape [S, S]."""
         number = np.full((self._size, self._size), -1)
         number[self._cells] = np.arange(len(self.vertices))
         return number
@@ -179,7 +180,7 @@ class Patches:
 
         Args:
             moved: displacements [N, V, 3].
-            covering: as of `covering`, at that motion.
+            covering: as in `covering`, at that motion.
 
         Returns:
             Changes of every pixel's depth, shape [P, N, 2]; none where a pixel of the grid is one of the picture.

@@ -323,3 +323,40 @@ def test_json_is_written_by_one_function() -> None:
         or (isinstance(node, ast.ImportFrom) and node.module == "json")
     ]
     assert writers == []
+
+
+def docstrings(path: Path) -> Iterator[tuple[int, str]]:
+    """Strings that document something, attributes too, with their lines."""
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value.strip()
+
+
+def test_docstrings_begin_with_what_they_describe() -> None:
+    """Each makes sense alone, as a tooltip."""
+    opening = re.compile(r"(?:Of|Likewise|That|The same|As)\b|(?s:.*)\b[Aa]s of\b")
+    vague = [
+        f"{name_of(path)}, line {line}: {text[:60]}"
+        for path in modules().values()
+        for line, text in docstrings(path)
+        if opening.match(text)
+    ]
+    assert vague == []
+
+
+def test_hardly_a_name_is_a_participle_of_telling() -> None:
+    """`told`, `said`, `led`, `seen` and `gone` don't say what they hold; public names of old may keep them."""
+    found = []
+    for path in modules().values():
+        for node in ast.walk(tree_of(path)):
+            stored = isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store)
+            names = ("id", "attr") if stored else ("arg", "name") if not isinstance(node, ast.keyword) else ()
+            if {getattr(node, name, None) for name in names} & {"told", "said", "led", "seen", "gone"}:
+                found.append(f"{name_of(path)}, line {getattr(node, 'lineno', 0)}")
+    assert len(found) < 20, found
+
+
+def test_pages_name_no_commits() -> None:
+    commit = re.compile(r"\b(?=[a-f]*\d)(?=\d*[a-f])[0-9a-f]{7,40}\b")
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "models").rglob("*.md")]
+    assert [f"{name_of(page)}: {found}" for page in pages for found in commit.findall(page.read_text("utf-8"))] == []

@@ -61,6 +61,14 @@ def test_pages_are_short_and_so_are_sentences(page: Path) -> None:
             assert len(re.findall(r"(?<![\w.×])\d+(?:[.,×]\d+)*(?! % interval)(?![-\w])", sentence)) <= 2, sentence
 
 
+def test_reports_are_few_and_short_and_open_with_an_abstract_and_a_table() -> None:
+    reports = [*(DOCS / "reports").glob("*.md")]
+    assert len(reports) <= 6
+    for page in reports:
+        assert page.stat().st_size <= 10_000, page
+        assert re.match(r"# .+\n\n(?:[^#|\n].*\n)+\n(?:## .+\n\n)?\|", page.read_text("utf-8")), page
+
+
 @pytest.mark.parametrize("page", [*GUIDE, DOCS / "internals.md", *(DOCS / "reports").glob("*.md")], ids=name)
 def test_options_of_commands_exist(page: Path, capsys, monkeypatch) -> None:
     monkeypatch.setattr("sys.argv", [])

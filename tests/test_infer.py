@@ -42,7 +42,8 @@ from tests.tables import read_rows
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")  # the fixture `done` has drawn ones
 FILES = [
-    LIST, "fit.png", "forces.json", "interactions.csv", "overlay.mp4", "page.html", "parameters.csv", "run.json",
+    LIST, "fit.png", "forces.json", "interactions.csv", "overlay.mp4", "page.html", "parameters.csv", "results.json",
+    "run.json",
 ]  # fmt: skip
 SCENE = SceneSettings(
     width=214, height=120, frames=17, onset_fraction=(0.2, 0.25), press_seconds=(0.2, 0.2), depth_noise=0.0005,

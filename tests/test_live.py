@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import time
 from subprocess import PIPE
 from types import SimpleNamespace
+from typing import get_type_hints
 
 import cv2
 import numpy as np
@@ -16,7 +18,7 @@ import pytest
 import yaml
 from pyigtl import OpenIGTLinkClient
 
-from palpate.cli.live import JsonLines, igtl_server, main
+from palpate.cli.live import LIVE, JsonLines, igtl_server, main
 from palpate.common.doors import INTERRUPTED
 from palpate.data.depth.model import RawDepth
 from palpate.data.depth.stereo import StereoDepth
@@ -25,6 +27,7 @@ from palpate.data.source.layout import ClipLayout
 from palpate.data.source.live import LiveSource
 from palpate.data.synthetic.clip import write_clip
 from palpate.data.synthetic.settings import SceneSettings
+from palpate.estimators.open import ESTIMATORS
 from palpate.estimators.records import FrameEstimate
 
 
@@ -155,12 +158,16 @@ def test_stiffness_place_by_place_is_estimated_live(tmp_path, monkeypatch, capsy
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert any("gap" in line for line in lines if line.get("decided"))
     assert "Relative stiffness place by place" in lines[-1]["interaction"]["detail"]
-    for given, said in (
-        (["--estimator", "direct"], "needs estimates while frames come, which --estimator direct does not give"),
-        (
-            ["--estimator", "online", "--force-limit", "1"],
-            "needs the force of every frame, which --estimator online does not give",
-        ),
-    ):
-        assert main(["-", "--size", "214x120", *given]) == 2
-        assert said in capsys.readouterr().err
+    assert main(["-", "--size", "214x120", "--estimator", "online", "--force-limit", "1"]) == 2
+    assert "needs the force of every frame, which --estimator online does not give" in capsys.readouterr().err
+
+
+def test_only_live_estimators_are_offered(capsys) -> None:
+    kinds = {name: get_type_hints(ESTIMATORS[name].build)["return"].live for name in ESTIMATORS.entries}
+    assert [*LIVE.entries] == [name for name, live in kinds.items() if live]
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(["-", "--estimator", "direct"])
+    assert "there is no live estimator direct; choose network, online." in capsys.readouterr().err
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["--help"])
+    assert not re.search(r"\bdirect\b|\bgan\b", capsys.readouterr().out)

@@ -33,7 +33,7 @@ Optimizer = Literal["adam", "gauss-newton"]
 HORIZON = 10
 """T, frames ahead (section III-D)."""
 FRAMES, EPOCHS = 30, 25
-"""Of the batch fit's training trajectory, and how often it is gone through (Liang 2024, section III-D)."""
+"""Frames of the batch fit's training trajectory, and how often it is gone through (Liang 2024, section III-D)."""
 
 
 def run_case(

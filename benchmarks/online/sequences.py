@@ -23,13 +23,13 @@ from palpate.physics.mesh import grid_springs, holding, incidence
 from palpate.physics.pbd.body import Body, make_body
 
 SIDE = 0.12
-"""Of a sheet [m]."""
+"""Side of a sheet [m]."""
 BLOCK = (0.10, 0.08, 0.02)
 """Sides of a block [m]: 2 cm thick, as the paper's."""
 FINE, FINE_CELLS = 41, (16, 13, 4)
 """Nodes along a sheet's side; cells of a block."""
 STIFF = 3.0
-"""Of the stiff part, over the soft one."""
+"""Stiffness of the stiff part, over the soft one."""
 
 
 NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
@@ -49,7 +49,7 @@ class Pull:
     visible: np.ndarray
     """Particles that the camera sees, shape [n]: all of a sheet's, a block's upper side."""
     places: np.ndarray
-    """Of the gripper, shape [T, G, 3] [m]."""
+    """Places of the gripper, shape [T, G, 3] [m]."""
     clouds: np.ndarray
     """Points of the surface, shape [T, m, 3] [m]."""
     shares: csr_array
@@ -87,7 +87,7 @@ class Sequence:
 
     block: bool
     frames: int
-    """As many by default."""
+    """Number of frames; None = as many by default."""
     way: Callable[[np.ndarray], np.ndarray]
     """Displacement of the gripper at shares of the time [S], shape [S, 3] [m]."""
     stiff: Callable[[np.ndarray], np.ndarray]
@@ -140,7 +140,7 @@ def _grid(columns: int, rows: int, size: tuple[float, float]) -> tuple[np.ndarra
 
 
 def _sheet_body(particles: int) -> Body:
-    """Of triangles whose diagonals alternate, pinned at x = 0."""
+    """Body of triangles whose diagonals alternate, pinned at x = 0."""
     side = max(round(particles**0.5), 6)
     rest, at = _grid(side, side, (SIDE, SIDE))
     one, two, three, four = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[:-1, 1:], at[1:, 1:]))
@@ -151,7 +151,7 @@ def _sheet_body(particles: int) -> Body:
 
 
 def _block_body(particles: int) -> Body:
-    """Of cubes of five tetrahedra each, pinned at x = 0."""
+    """Body of cubes of five tetrahedra each, pinned at x = 0."""
     sizes = [[max(round(side / step), 2) for side in BLOCK] for step in np.linspace(0.004, 0.03, 200)]
     along, across, deep = min(sizes, key=lambda cells: abs(np.prod(np.array(cells) + 1) - particles))
     rest, tetrahedra = box(BLOCK, (along, across, deep))
@@ -165,7 +165,7 @@ def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:
 
 
 def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
-    """Of a net that flows down its energy, in steps of Euler's well within what is stable."""
+    """States of a net that flows down its energy, in steps of Euler's well within what is stable."""
     rest, _ = _grid(FINE, FINE, (SIDE, SIDE))
     # Nodes to the right and up, and stiffness over that of rows: along rows, along diagonals, and against bending.
     net = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, 0.5), (1, -1, 0.5), (2, 0, 0.05), (0, 2, 0.05))
@@ -199,7 +199,7 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
 def _block_states(
     path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray], young: float = 5e3, count: int = 2
 ) -> list[State]:
-    """Of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work.
+    """States of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work.
 
     Args:
         path: of the gripper, shape [T, 3] [m].

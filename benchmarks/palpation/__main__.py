@@ -36,10 +36,10 @@ SIX = (0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
 
 STARTS = (30.0, 1 / 30)
 SEED = 73500
-"""Of the first press's noise; those after it follow."""
+"""Seed of the first press's noise; those after it follow."""
 
 Truth = tuple[Skin, Equilibrium, np.ndarray, np.ndarray]
-"""As `press` gives it."""
+"""Body, places, forces and the rest, as `press` gives it."""
 
 
 @dataclass(frozen=True)

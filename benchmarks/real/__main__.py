@@ -94,7 +94,7 @@ class Real(Measurements):
     layout: Path | None = None
     """of the pulled clip: YAML file that names a folder's files (default: CholecSeg8k)"""
     masks: Path | None = None
-    """of the pulled clip: outlines of its instruments, or a segmentation model (default: as of infer.py)"""
+    """of the pulled clip: outlines of its instruments, or a segmentation model (default: as in infer.py)"""
 
     keys: ClassVar = ("clip",)
 

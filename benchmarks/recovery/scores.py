@@ -106,7 +106,7 @@ def deviations(covariances: np.ndarray) -> np.ndarray:
 
 
 def score_all(rows: Sequence[Row], onset: str = STAMP) -> list[Scores]:
-    """Scores of every estimator and suite, in the order in which they first appear; arguments as of `score`."""
+    """Scores of every estimator and suite, in the order in which they first appear; arguments as in `score`."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["estimator"], row["suite"]), []).append(row)

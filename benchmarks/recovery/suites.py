@@ -50,7 +50,7 @@ class Suite:
         return from_mapping(SceneSettings, found, f"The suite {self.name}")
 
     def settings(self, index: int, size: tuple[int, int] = GRID_SIZE) -> SceneSettings:
-        """The same with the suite's errors of observation."""
+        """Return the settings of synthetic clips with the suite's errors of observation."""
         return replace(self.truth_settings(index, size), **self.errors)
 
 

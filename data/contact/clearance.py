@@ -24,7 +24,7 @@ MEETS, HOVERS, LEAVES = 2.5, 4.0, 5.0
 whether it begins between the first two."""
 AROUND = 30
 """Nothing farther from an instrument's tip is looked at [cells]."""
-APART = "The instrument's end is {:.3g} from the tissue by their measured depths; contact needs {:.3g} or less."
+APART = "The instrument's end is {:.3g} scene units from the tissue by measured depth; contact needs {:.3g} or less."
 
 
 def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float] | None:
@@ -79,7 +79,7 @@ class MeasuredContacts(ContactEvidence):
     """Contact of a clip whose depth is measured; evidence decides where instruments have no usable depth.
 
     Args:
-        near: as of `ContactEvidence`.
+        near: as in `ContactEvidence`.
         camera: intrinsics of the grid.
     """
 

@@ -91,6 +91,6 @@ def log_ratio(observed: TipMotion) -> float:
 
 
 def _density(square: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
-    """Of a normal distribution in the plane, at squared distances from its mean [px²]; never 0."""
+    """Density of a normal distribution in the plane, at squared distances from its mean [px²]; never 0."""
     # The least density has a finite logarithm.
     return np.exp(-square / (2 * variance)) / (2 * np.pi * variance) + 1e-300

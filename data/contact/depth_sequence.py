@@ -36,7 +36,7 @@ class SequenceRecorder:
         mesh: tissue at rest.
         vertex: the contact.
         noise: standard deviation of the depth about the smoothed tissue [scene units].
-        size: as of `DepthSequence`.
+        size: as in `DepthSequence`.
     """
 
     def __init__(self, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int]) -> None:
@@ -65,7 +65,7 @@ class SequenceRecorder:
         return found
 
     def frame(self, frame: Any) -> np.ndarray | None:
-        """Change of the depth in a frame, shape [S, S] as of `DepthSequence`; None where the camera's motion isn't
+        """Change of the depth in a frame, shape [S, S] as in `DepthSequence`; None where the camera's motion isn't
         known, or a stored frame comes without its depth.
         """
         depth = frame.depth
@@ -107,9 +107,8 @@ class SequenceRecorder:
         return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
 
     def noise(self, count: int) -> SequenceNoise:
-        """As measured in the first frame and so many after it; all of it counts as new in every frame where that is
-        the first alone.
-        """
+        """Return the noise, as measured in the first frame and so many after it; all of it counts as new in every frame
+        where that is the first alone."""
         later = self._measured[1 : count + 1]
         if not later:
             return SequenceNoise(self._noise, 0.0)

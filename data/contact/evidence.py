@@ -36,7 +36,7 @@ CERTAIN = 0.9
 HOVERS = "The tissue next to the tool does not move with it, so it hovers (probability of contact {:.2f})."
 
 SPACING = 8
-"""Of the tissue's points [px]."""
+"""Spacing of the tissue's points [px]."""
 GUARD = 8.0
 """Points nearer to the tool's mask may be the tool's own, or be followed by its edge [px]."""
 RING = 100.0
@@ -64,7 +64,7 @@ class ContactEvidence:
         self._odds = _log_odds(PRIOR)
         """Log odds of contact, by what was observed up to then."""
         self._number = -1
-        """Of the frame that was judged last."""
+        """Number of the frame that was judged last."""
         self._apart = self._came = False
         """Whether the tool was apart from tissue in that frame, and right before the contact under way began."""
         self._way, self._speed = np.zeros(2), 0.0

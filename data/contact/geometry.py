@@ -199,7 +199,7 @@ def dent_geometry(
     depth: np.ndarray, labels: np.ndarray, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings,
     rest: RestTissue | None = None,
 ) -> FrameGeometry:  # fmt: skip
-    """Mesh of the tissue with its contact at a grid pixel (u, v), where a dent is; the others as of `frame_geometry`.
+    """Mesh of the tissue with its contact at a grid pixel (u, v), where a dent is; the others as in `frame_geometry`.
 
     Raises:
         GeometryStatus: `bad_depth` where the tissue gives no mesh.
@@ -217,10 +217,10 @@ def dent_geometry(
 def smooth_rest(
     depth: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue | None = None
 ) -> tuple[RestTissue, float]:
-    """The tissue at rest, smoothed as the settings say, and the noise as of `FrameGeometry`.
+    """The tissue at rest, smoothed as the settings say, and the noise as in `FrameGeometry`.
 
     Args:
-        depth, labels: of a frame, as of `frame_geometry`.
+        depth, labels: of a frame, as in `frame_geometry`.
         settings: `smoothing` counts.
         rest: the tissue at rest; None = as it is visible.
     """
@@ -255,7 +255,7 @@ def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySetting
 def _mesh_around(
     row: int, column: int, sheet: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue
 ) -> tuple[Callable[[], Mesh], bool]:
-    """Return what makes the mesh as of `tissue_mesh`, once, and whether a grid pixel is known to be its vertex."""
+    """Return what makes the mesh as in `tissue_mesh`, once, and whether a grid pixel is known to be its vertex."""
     make_mesh = cache(partial(tissue_mesh, sheet, labels, settings, rest))
     top, left = max(row - 2, 0), max(column - 2, 0)
     around = np.s_[top : row + 3, left : column + 3]
@@ -267,7 +267,7 @@ def _mesh_around(
 
 
 def move_contact(geometry: FrameGeometry, pixel: tuple[int, int]) -> FrameGeometry:
-    """The same frame with the mesh's vertex at the grid pixel (u, v) as its contact."""
+    """Return the frame with the mesh's vertex at the grid pixel (u, v) as its contact."""
     vertex = int(np.flatnonzero((geometry.mesh.pixels == pixel[::-1]).all(axis=1))[0])
     point = geometry.mesh.vertices[vertex]
     distance = float(np.linalg.norm(geometry.tool_point - point))
@@ -306,7 +306,7 @@ def _require_pixels(tool: np.ndarray, tissue: np.ndarray, depth: np.ndarray, set
 
 
 Pixels = tuple[np.ndarray, np.ndarray]
-"""Of the tool and of the tissue, row and column each."""
+"""Pixels of the tool and of the tissue, row and column each."""
 
 
 def _outline_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settings: GeometrySettings) -> Pixels:
@@ -337,6 +337,6 @@ def _cloud_pair(points: np.ndarray, tool: np.ndarray, tissue: np.ndarray, settin
     clouds = points[tuple(tool_pixels.T)], points[tuple(tissue_pixels.T)]
     tool_row, tissue_row, distance = find_contact(*clouds, two_pass=settings.two_pass)
     if settings.contact == "touching" and distance > settings.contact_distance:
-        detail = f"The tool is {distance:.3g} from the tissue, more than {settings.contact_distance:g}."
+        detail = f"The tool is {distance:.3g} scene units from the tissue, more than {settings.contact_distance:g}."
         raise GeometryStatus("no_contact", detail, distance)
     return tool_pixels[tool_row], tissue_pixels[tissue_row]

@@ -59,7 +59,7 @@ class Interaction:
     observations: Mapping[str, Any]
     """Records by the names of observations (`observations.kinds`), and that of the followed point."""
     time_step: float
-    """Of the load [s]."""
+    """Time step of the load [s]."""
     intervals: int = 1
     """Frame intervals within which the press began, and ended; more than 1 where frames before those are gaps."""
 
@@ -79,7 +79,7 @@ class Interaction:
         return self.observations.get(SHADING)
 
     def having(self, **records: Any) -> Interaction:
-        """The same with other records; None = without one of that name."""
+        """Return the contact with other records; None = without one of that name."""
         both = {**self.observations, **records}
         kept = {name: record for name, record in both.items() if record is not None}
         return dataclasses.replace(self, observations=kept)
@@ -126,11 +126,12 @@ class Interaction:
 
     @property
     def along(self) -> np.ndarray:
-        """The same along the force's direction, shape [N], float64 [scene units]."""
+        """Observed motion along the force's direction, shape [N], float64 [scene units]."""
         return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
 
     def observed(self, instants: np.ndarray) -> Interaction:
-        """The same, observed at some of its instants only, a mask or indices; other records as far as the last."""
+        """Return the interaction, observed at some of its instants only, a mask or indices; other records as far as the
+        last."""
         point = self.observation.chosen(instants)
         last = point.times[-1] + SAME_INSTANT if len(point) else -math.inf
         others = {name: record.chosen(record.times <= last) for name, record in self.observations.items()}
@@ -154,7 +155,7 @@ class PointRecorder:
         return position - self._rest if np.isfinite(position).all() else None
 
     def record(self, times: np.ndarray, values: list[np.ndarray], _: int) -> Observation:
-        """As of `Recorder`."""
+        """See `Recorder`."""
         return Observation.of_point(self._vertex, times, np.array(values, np.float32).reshape(-1, 3), self._noise)
 
 

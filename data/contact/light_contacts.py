@@ -60,7 +60,7 @@ class LightContacts:
         """Number of the frame before."""
         self._registration: Registration | None = None
         self._view: View | None = None
-        """Of the frame before."""
+        """View of the frame before."""
         self._first: list[LitFrame] = []
         """The first frames, until there are enough to take the earliest for tissue at rest."""
         self._waiting: list[LitFrame] = []
@@ -261,9 +261,9 @@ class LightContacts:
         change = lit.change_around(place)
         darkness, away = darkness_of(change), lit.away[FINE * place[0], FINE * place[1]]
         # What the instrument hides now doesn't count: its mask changes while it stands.
-        seen = None if change is None or self._deepest is None else np.where(np.isfinite(change), self._deepest, np.nan)
+        dent = None if change is None or self._deepest is None else np.where(np.isfinite(change), self._deepest, np.nan)
         # A press has ended where less than this share of the darkness is left, or the instrument has gone.
-        if self._pressing and away <= REACH and not darkness < 0.35 * darkness_of(seen):
+        if self._pressing and away <= REACH and not darkness < 0.35 * darkness_of(dent):
             self._press(lit, place)
             return
         self._pressing = False

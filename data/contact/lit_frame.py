@@ -30,15 +30,15 @@ class LitFrame:
 
     prepared: PreparedFrame
     make_light: Callable[[], np.ndarray]
-    """Return the light as of `log_light`, in the view of the reference, as all that follows."""
+    """Return the light as in `log_light`, in the view of the reference, as all that follows."""
     view: View
     """How the frame's grid lies in the reference's."""
     away: np.ndarray
     """Distance of every place of the lattice from instruments [grid pixels]."""
     near: np.ndarray
-    """The same from their free ends."""
+    """Distance of every place from instruments' free ends [grid pixels]."""
     standing: np.ndarray
-    """The same from the free ends of instruments that are where one was in the frame before."""
+    """Distance of every place from the free ends of instruments that are where one was in the frame before."""
     tips: list[np.ndarray]
     """Middle of every instrument's free end, row and column [grid pixels]."""
     moves: bool
@@ -52,9 +52,9 @@ class LitFrame:
     """Row and column of the darkest place of the lattice next to an instrument that stands; None where nothing is
     clearly darker than at rest."""
     dent: tuple[int, int] | None = None
-    """The same where it is darker than a shadow."""
+    """Row and column of the darkest place that is darker than a shadow."""
     bared: tuple[int, int] | None = None
-    """The same where an instrument was in a frame that waits, and isn't now."""
+    """Row and column of the darkest place where an instrument was in a frame that waits, and isn't now."""
     darkness: float = 0.0
     """How much darker than at rest the darkest place next to an instrument is."""
 

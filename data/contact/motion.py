@@ -27,8 +27,8 @@ DENTED = "Contact begins while tissue is or may be dented from an earlier one, s
 REST_FRAMES = 3
 """Last frames before a contact in which tissue that is followed must have returned."""
 SHADING_NOISE = 0.02
-"""Of depth from shading: its surfaces are smooth, and change from one picture to the next [scene units]. Where the
-camera moves they do so by 3 to 6 % (docs/reports/depth.md)."""
+"""Noise of depth from shading: its surfaces are smooth, and change from one picture to the next [scene units]. Where
+the camera moves they do so by 3 to 6 % (docs/reports/depth.md)."""
 REST_SIGMA = 4.0
 """It hasn't where their mean lies farther from rest than this many of its standard deviations."""
 
@@ -165,11 +165,11 @@ class ContactMotion:
             with contextlib.suppress(GeometryStatus):
                 noise = self._noise(onset)
                 rest = self._rest.at(onset)
-                seen, given = (onset.depth, onset.labels), (self.camera, self.settings, rest)
+                shown, given = (onset.depth, onset.labels), (self.camera, self.settings, rest)
                 if onset.press is not None:
-                    resting = dent_geometry(*seen, onset.contact.pixel, *given)
+                    resting = dent_geometry(*shown, onset.contact.pixel, *given)
                 else:
-                    resting = frame_geometry(*seen, *given, onset.ends)
+                    resting = frame_geometry(*shown, *given, onset.ends)
                 onset.geometry = dataclasses.replace(resting, noise=noise, surface=None)
         pixel = picture_pixel(onset, self.size)
         template = self._tracker.template(onset.shown, pixel)

@@ -98,7 +98,7 @@ def dent_features(contact: Interaction, within: float) -> np.ndarray:
 
     Args:
         contact: with or without a depth-change sequence.
-        within: as of `sequence_features`.
+        within: as in `sequence_features`.
     """
     sequence, noise = contact.sequence, network_noise(contact)
     shown = contact.having(point=contact.observation.moved(motion_in_sequence(contact), noise))

@@ -48,7 +48,7 @@ class Edge:
     place_sd: float
     """Standard deviation of where it lies across, as its points tell."""
     angle_sd: float
-    """Likewise of its direction [rad]."""
+    """Standard deviation of its direction [rad]."""
 
     def plane(self, camera: Camera, moved: float = 0.0, turned: float = 0.0) -> np.ndarray:
         """Normal of the plane through the camera's centre, out of the shaft, shape [3], unit length."""
@@ -71,8 +71,8 @@ def shaft_edges(tool: np.ndarray) -> tuple[Edge, Edge] | None:
     if one is None or other is None:
         return None
     least = max(LEAST_EDGE, LEAST_LENGTHS * abs(one.normal @ (one.place - other.place)))
-    seen = min(one.length, other.length) > least and one.normal @ other.normal < -math.cos(LARGEST_ANGLE)
-    return (one, other) if seen else None
+    facing = min(one.length, other.length) > least and one.normal @ other.normal < -math.cos(LARGEST_ANGLE)
+    return (one, other) if facing else None
 
 
 def _edge(points: np.ndarray, outwards: np.ndarray) -> Edge | None:

@@ -174,7 +174,7 @@ class DepthModel:
                 return name
         raise InputError(
             f"{self.path} has the outputs {', '.join(outputs)}, and not {' or '.join(accepted) or 'one alone'}, what "
-            f"depth preset {self.preset.name} expects; give another, or write one (docs/reports/depth.md)."
+            f"depth preset {self.preset.name} expects; give another, or write one (docs/depth.md)."
         )
 
     def _fixed_size(self) -> tuple[int, int] | None:

@@ -1,7 +1,7 @@
 """Depth of a clip's frames: from stored files or an ONNX model, and the one normalisation.
 
 Bini 2026, section 3.2.1, with its per-frame choices replaced by ones that are fixed for a whole clip: one scale without
-an offset, one focal length and one range of relative depth. docs/reports/depth.md describes how they are frozen.
+an offset, one focal length and one range of relative depth. docs/depth.md describes how they are frozen.
 """
 
 import math
@@ -220,7 +220,7 @@ def resize_depth(depth: np.ndarray, labels: np.ndarray, size: Size = (120, 214))
 
 
 def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The labels alone, as of `resize_depth`."""
+    """The labels alone, as in `resize_depth`."""
     order, _, shares = _shares(labels, size)
     return np.asarray(order, np.uint8)[shares.argmax(axis=0)]
 

@@ -3,7 +3,7 @@
 Under a light at the camera a plane n·X = h of one albedo sends back I ∝ (n·r)³/h² along the unit ray r: the distance is
 h/(n·r), and the cosine to the light n·r. How brightness changes over a whole organ tells n to about ten degrees; what
 changes over less than that is mostly albedo (vessels, fat, bruises), and turns normals by 50 degrees when it is read as
-distance (docs/reports/depth.md).
+distance (docs/depth.md).
 """
 
 import cv2

@@ -38,11 +38,11 @@ class Rectification:
             return
         cameras = left, (rig.right or rig).scaled(*size)
         first, second = [(each.matrix, np.array(each.distortion or [0.0] * 5)) for each in cameras]
-        *turns, seen, seen_right = cv2.stereoRectify(*first, *second, size, rig.turned, offset[:, None])[:4]
-        self.product = -float(seen_right[0, 3])
-        self._lenses = [Undistortion(*each) for each in zip(cameras, turns, (seen, seen_right), strict=True)]
+        *turns, lens, lens_right = cv2.stereoRectify(*first, *second, size, rig.turned, offset[:, None])[:4]
+        self.product = -float(lens_right[0, 3])
+        self._lenses = [Undistortion(*each) for each in zip(cameras, turns, (lens, lens_right), strict=True)]
         pixels = np.indices(size[::-1], np.float32)[::-1].reshape(2, -1).T[:, None]
-        back = cv2.undistortPoints(pixels, *first, R=turns[0], P=seen).reshape(*size[::-1], 2)
+        back = cv2.undistortPoints(pixels, *first, R=turns[0], P=lens).reshape(*size[::-1], 2)
         self._back = cv2.split(back.astype(np.float32))
         rays = cv2.undistortPoints(pixels, *first).reshape(*size[::-1], 2) @ turns[0][2, :2]
         self._along = (rays + turns[0][2, 2]).astype(np.float32)
@@ -241,8 +241,8 @@ class StereoDepth(DepthSource):
         low, high = np.quantile(found, (0.01, 0.99)) * (0.7, 1.3)
         self._match = SemiGlobal(self._size, (float(low), float(high)))
         if (away := self._rectification.product / np.median(found)) > FARTHEST:
-            said = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
-            raise InputError(f"Tissue of {printable(self._clip)} {said}.")
+            text = f"would be {away:.3g} m away by its camera's baseline; give that in metres"
+            raise InputError(f"Tissue of {printable(self._clip)} {text}.")
         off = self.disparity_sd / float(np.median(found))
         if self.not_compared not in self.warnings:
             self.metres = 1.0, math.hypot(self._baseline_log_sd, off), "stereo"

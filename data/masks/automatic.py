@@ -1,7 +1,7 @@
 """Tool and tissue masks of raw video: instruments by the network that ships, other lit pixels as tissue.
 
 The network's probability is averaged over time: that of the frame before is moved along the optical flow. Of its parts
-those count that are large, enter the view, and were there in the frame before, too. docs/reports/masks.md
+those count that are large, enter the view, and were there in the frame before, too. docs/masks.md
 reports its accuracy on real pictures.
 """
 
@@ -31,7 +31,7 @@ class AutomaticMasks:
     Args:
         path: the network; by default the one that ships.
         every: the network runs in one of so many frames; in between its probability is moved along the flow.
-        threads, device: as of `PictureNetwork`.
+        threads, device: as in `PictureNetwork`.
     """
 
     def __init__(self, path: Path = WEIGHTS, *, every: int = 1, threads: int = 0, device: str = "cpu") -> None:

@@ -46,7 +46,7 @@ class InstrumentCut:
         """
         share = WORKING_SIZE / max(picture.shape[:2])
         size = max(round(picture.shape[1] * share), 16), max(round(picture.shape[0] * share), 16)
-        seen = cv2.resize(self._masks.probability(picture), size, interpolation=cv2.INTER_LINEAR)
+        probability = cv2.resize(self._masks.probability(picture), size, interpolation=cv2.INTER_LINEAR)
         ends = ((np.vstack([each.points, each.points[-1:]]), each.instrument) for each in strokes)  # a click is a dot
         lines = [(np.rint(points * share).astype(np.int32)[:, None], instrument) for points, instrument in ends]
         on, guess = np.zeros((2, *size[::-1]), np.uint8)
@@ -55,7 +55,7 @@ class InstrumentCut:
         for line, instrument in lines:
             cv2.polylines(on, [line], False, int(instrument), PEN)
             cv2.polylines(guess, [line], False, int(instrument), AROUND)
-        guess |= _touched((seen > ALIKE).astype(np.uint8), on)
+        guess |= _touched((probability > ALIKE).astype(np.uint8), on)
         far = cv2.distanceTransform(1 - guess, cv2.DIST_L2, 3) > REACH
         labels = np.where(far, cv2.GC_BGD, np.where(guess > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD)).astype(np.uint8)
         for line, instrument in lines:
@@ -65,7 +65,7 @@ class InstrumentCut:
         if (labels == cv2.GC_BGD).any():  # GrabCut learns colours from both
             # Colours are lightness and redness; the third is what the network says.
             features = cv2.cvtColor(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2Lab)
-            features[..., 2] = seen * 255
+            features[..., 2] = probability * 255
             models = np.zeros((2, 1, 65))
             cv2.grabCut(features, labels, (0, 0, 1, 1), models[0], models[1], 1, cv2.GC_INIT_WITH_MASK)
         cut = cv2.morphologyEx(labels & 1, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) | on

@@ -1,7 +1,7 @@
 """Masks from any ONNX segmentation model, read by settings stored next to it; only onnxruntime is needed.
 
 They stand in a YAML file of the model's name (`model.onnx` → `model.yaml`) and name the channels that are tool and
-tissue; docs/reports/masks.md has an example.
+tissue; docs/inputs.md has an example.
 """
 
 from dataclasses import dataclass
@@ -66,7 +66,7 @@ class OnnxMasks:
     """Mask source (see masks.MaskSource) that asks an ONNX segmentation model."""
 
     def __init__(self, path: Path, *, threads: int = 0, device: str = "cpu") -> None:
-        """Open the model and its settings; threads and device as of `PictureNetwork`.
+        """Open the model and its settings; threads and device as in `PictureNetwork`.
 
         Raises:
             InputError: not a file, not an ONNX model, no or wrong settings, or inputs that are not one picture.

@@ -92,11 +92,11 @@ class MaskRequest:
     file: Path = Path()
     """The file that was chosen as the source, where it is one."""
     threads: int = 0
-    """CPU threads of a network, as of `data.picture_network.PictureNetwork`."""
+    """CPU threads of a network, as in `data.picture_network.PictureNetwork`."""
     device: str = "cpu"
     """Where a network runs, likewise."""
     every: int = 1
-    """As of `data.settings.PrepareSettings`."""
+    """Number of frames for which one is masked, as in `data.settings.PrepareSettings`."""
 
 
 def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path, **where: Any) -> MaskSource:
@@ -141,7 +141,7 @@ def open_outlines(asked: MaskRequest) -> MaskSource:
 
 
 def check_masks(kind: str, **where: Any) -> None:
-    """Open the file that a kind of masks names, if any; arguments and errors as of `open_masks`."""
+    """Open the file that a kind of masks names, if any; arguments and errors as in `open_masks`."""
     if mask_source_file(kind) is not None:
         open_masks(kind, ClipLayout(), MaskClasses(), Path(), **where)
 

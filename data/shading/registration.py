@@ -15,7 +15,7 @@ from palpate.data.tracks.following import Shown, lattice, values_at
 from palpate.data.tracks.linking import followed
 
 SPACING, GUARD = 32, 24
-"""Of the points that are followed, and how far from an instrument they begin [px of a picture 854 wide]."""
+"""Distances of the points that are followed, and how far from an instrument they begin [px of a picture 854 wide]."""
 FEWEST, LEAST_SHARE = 12, 0.5
 """Fewer points, or a smaller share of them, that agree on a motion tell none."""
 STILL = 0.3
@@ -50,7 +50,7 @@ class Registration:
     def __init__(self, grid_shape: tuple[int, int]) -> None:
         self._grid_shape, self._count = grid_shape, 0
         self._reference: tuple[np.ndarray, np.ndarray] | None = None
-        """Picture, as of `Shown.flat`, whatever the exposure does, and points [N, 2] of the reference."""
+        """Picture, as in `Shown.flat`, whatever the exposure does, and points [N, 2] of the reference."""
         self._last = np.eye(3)
         """Homography from the reference's picture to the last one."""
 

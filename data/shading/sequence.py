@@ -40,7 +40,7 @@ class ShadingSequence:
     light: np.ndarray
     """Logarithm of the light, gain taken off, shape [N, L, L], float32; not a number where no tissue is seen."""
     rest: np.ndarray
-    """The same at rest, shape [L, L]."""
+    """Light at rest, shape [L, L]."""
     noise: float
     """Standard deviation of the difference of light and rest where tissue is still."""
 
@@ -77,7 +77,7 @@ def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
     """Logarithm of light over that at rest, gain and slow changes taken off; None where they aren't known.
 
     Args:
-        light, rest: as of `log_light`, of one shape [h, w].
+        light, rest: as in `log_light`, of one shape [h, w].
     """
     rows, columns = (np.arange(size, dtype=np.float32) / max(rest.shape) for size in rest.shape)
     change = light - rest
@@ -96,10 +96,10 @@ class RestingLight:
     def __init__(self) -> None:
         self._frames: deque[Callable[[], np.ndarray]] = deque(maxlen=KEPT)
         self._median: np.ndarray | None = None
-        """Of these frames, where it has been asked for."""
+        """Median light of these frames, where it has been asked for."""
 
     def push(self, light: Callable[[], np.ndarray]) -> None:
-        """Take the next frame out of contact, by what returns its light as of `log_light`."""
+        """Take the next frame out of contact, by what returns its light as in `log_light`."""
         self._frames.append(light)
         self._median = None
 
@@ -112,14 +112,15 @@ class RestingLight:
         return len(self._frames)
 
     def median(self) -> np.ndarray:
-        """Of the frames, at least one, place by place; not a number where no frame shows tissue."""
+        """Return the median light of the frames, at least one, place by place; not a number where no frame shows
+        tissue."""
         if self._median is None:
             self._median = _median(np.stack([light() for light in self._frames]))
         return self._median
 
 
 def _median(frames: np.ndarray) -> np.ndarray:
-    """As `numpy.nanmedian` of a few arrays [K, h, w] along their first axis, in a fraction of the time."""
+    """Return `numpy.nanmedian` of a few arrays [K, h, w] along their first axis, in a fraction of the time."""
     ordered, known = np.sort(frames, axis=0), np.isfinite(frames).sum(axis=0)  # what isn't a number comes last
     below, above = (
         np.take_along_axis(ordered, np.maximum(at, 0)[None], axis=0)[0] for at in ((known - 1) // 2, known // 2)
@@ -131,7 +132,7 @@ class ShadingRecorder:
     """Gathers the shading sequence of one run of contact.
 
     Args:
-        rest: light at rest, as of `log_light`.
+        rest: light at rest, as in `log_light`.
         pixel: row and column of the contact in the onset's frame [grid pixels].
         view: in which the onset's light lies; None = the frame's own, of a camera that stands still.
     """
@@ -157,7 +158,7 @@ class ShadingRecorder:
         return np.where(self._inside, light[rows, columns], np.nan)
 
     def frame(self, frame: PreparedFrame) -> np.ndarray | None:
-        """Light around the contact in a frame, as of `ShadingSequence`; None where it or its gain isn't known, or of
+        """Light around the contact in a frame, as in `ShadingSequence`; None where it or its gain isn't known, or of
         another reference.
         """
         light, view = frame.light, frame.light_view

@@ -81,7 +81,7 @@ def time_stamps(messages: Iterable[tuple[int, Any]], named: str) -> np.ndarray:
     """Time stamps of messages, int64, shape [N] [ns]: their headers', on whose clock are those without one.
 
     Args:
-        messages: as of `read_topic`.
+        messages: as in `read_topic`.
         named: begins the error message.
 
     Raises:
@@ -138,15 +138,15 @@ def _decompressed(content: bytes, label: str, named: str) -> np.ndarray:
     except InputError as error:
         video = content.startswith((b"\0\0\1", b"\0\0\0\1"))
         kind = "holds H.264 or H.265 video" if video else "can't be decoded as JPEG or PNG"
-        said = f"{named} (format '{plain(label)[:60]}') {kind}"
-        raise InputError(f"{said}; record JPEG or PNG, or convert the topic by `image_transport republish`.") from error
+        what = f"{named} (format '{plain(label)[:60]}') {kind}"
+        raise InputError(f"{what}; record JPEG or PNG, or convert the topic by `image_transport republish`.") from error
 
 
 def camera_entries(path: Path, topic: str | None) -> dict[str, Any] | None:
     """Fields of the camera whose pictures a topic holds, None where the bag has none that was calibrated.
 
     Raises:
-        InputError: as of `topic_of`, or the lens has another model than those of OpenCV.
+        InputError: as in `topic_of`, or the lens has another model than those of OpenCV.
     """
     home = PurePosixPath(topic_of(path, topic).removesuffix("/compressed"))
     info = read_topic(path, str(home.parent / "camera_info"), CAMERAS)
@@ -171,7 +171,7 @@ def read_wrenches(path: Path, topic: str, shown: str | None) -> np.ndarray:
         shown: topic of the pictures; None = the only one.
 
     Raises:
-        InputError: it is no bag; else as of `topic_of` and `time_stamps`.
+        InputError: it is no bag; else as in `topic_of` and `time_stamps`.
     """
     if not is_bag(path):
         raise InputError(f"{printable(path)} is no bag and has no topic {plain(topic)}; give --force-scale a table.")

@@ -76,7 +76,7 @@ class Camera(Checked):
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
     def scaled(self, width: int, height: int) -> "Camera":
-        """The same camera for the picture resized to width x height.
+        """Return the camera for the picture resized to width x height.
 
         Raises:
             ValueError: the camera has no size of its own, and a centre far from that of such a picture.
@@ -102,7 +102,7 @@ class Rig(Camera):
     baseline_sd: NotNegative = 0.0
     """Its standard deviation, or that of `translation`'s length [m]."""
     rotation: tuple[float, ...] = (1, 0, 0, 0, 1, 0, 0, 0, 1)
-    """Of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
+    """Rotation of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
     translation: tuple[float, float, float] | None = None
     """T, in place of a baseline [m]."""
     right: "Rig | None" = None
@@ -221,8 +221,8 @@ class Undistortion:
     """
 
     def __init__(self, camera: Camera, turn: np.ndarray | None = None, seen: np.ndarray | None = None) -> None:
-        lens, seen = (camera.matrix, np.array(camera.distortion, float)), camera.matrix if seen is None else seen
-        self._maps = cv2.initUndistortRectifyMap(*lens, turn, seen, (camera.width, camera.height), cv2.CV_32FC1)
+        lens, target = (camera.matrix, np.array(camera.distortion, float)), camera.matrix if seen is None else seen
+        self._maps = cv2.initUndistortRectifyMap(*lens, turn, target, (camera.width, camera.height), cv2.CV_32FC1)
 
     def image(self, image: np.ndarray) -> np.ndarray:
         """RGB picture [H, W, 3], interpolated; black outside the camera's picture."""

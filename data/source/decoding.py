@@ -290,13 +290,13 @@ class VideoTrack:
 
     def damage(self) -> list[str]:
         """Complaints about what the last pass, once complete, has not decoded."""
-        seen, step = self._damage, 1 / self.fps
-        until = max(seen.read_until, seen.decoded_until + step)
+        damage, step = self._damage, 1 / self.fps
+        until = max(damage.read_until, damage.decoded_until + step)
         lost = 2.5 * step  # by which a video may end early without a word
         if math.isfinite(self._end) and self._end - until > lost:
             whole, until = self._end - self._start, max(until - self._start, 0.0)
             return [f"truncated: the file ends after {until:.2f} s of {whole:.2f} s; copy it again"]
-        if seen.errors or seen.pictures or seen.filled_until - seen.decoded_until > lost:
+        if damage.errors or damage.pictures or damage.filled_until - damage.decoded_until > lost:
             return ["damaged: some of its frames can't be decoded; copy it again"]
         return []
 

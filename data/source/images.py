@@ -44,7 +44,7 @@ def read_image(path: Path, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST
 
 
 def decode_image(content: bytes, name: str, flags: int = cv2.IMREAD_COLOR_RGB, most: float = MOST_PIXELS) -> np.ndarray:
-    """Decode an image file's bytes; arguments as of `read_image`, `name` begins the error message.
+    """Decode an image file's bytes; arguments as in `read_image`, `name` begins the error message.
 
     Raises:
         InputError: empty, truncated, undecodable or too large content.

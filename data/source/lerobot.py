@@ -63,7 +63,7 @@ def span_of(clip: Path) -> tuple[float, float] | None:
     """Where an episode begins and ends in its video [s]; None of other clips.
 
     Raises:
-        InputError: as of `episodes_in`, or the file holds no such episode.
+        InputError: as in `episodes_in`, or the file holds no such episode.
     """
     video = file_of(clip)
     spans = {video / name: span for name, span in episodes_in(video).items()} or {video: None}

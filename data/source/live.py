@@ -118,7 +118,7 @@ def open_live(
 
     Args:
         where: a camera's number, the address of a stream, a video file (played at its own rate), or `-` for the pipe.
-        max_latency: as of `LiveSource` [s].
+        max_latency: as in `LiveSource` [s].
         size: width and height of the pipe's pictures [px].
         fps: frames a second; None = the source's own, of a pipe 25.
         pipe: RGB pictures, 3 bytes a pixel, one after the other.

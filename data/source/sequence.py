@@ -47,7 +47,7 @@ class SequenceFile(Checked):
     fps: Positive | None = None
     """Frames a second; the first one is then at 0 s."""
     unit: Literal["m", "mm"] = "m"
-    """Of all lengths in the files and here, but for `depth_factor`."""
+    """Length unit of all lengths in the files and here, but for `depth_factor`."""
     hand_eye: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     """Pose of the camera in the frame that `camera_on` names."""
     camera_on: Literal["base", "tool"] = "base"
@@ -83,11 +83,11 @@ class Sequence:
     path: Path
     given: SequenceFile
     files: list[Path]
-    """Of the clouds or depth pictures."""
+    """Files of the clouds or depth pictures."""
     numbers: list[int]
-    """Of the frames."""
+    """Numbers of the frames."""
     times: np.ndarray
-    """Of the frames, shape [T] [s]."""
+    """Times of the frames, shape [T] [s]."""
     tool: "Tool"
     pins: np.ndarray
     """Lower and upper corners of what stands still, shape [B, 2, 3] [m]."""
@@ -96,7 +96,7 @@ class Sequence:
     gripped: range
     """Frames in which the tool holds tissue."""
     camera: Camera | None
-    """Of depth pictures."""
+    """Camera of depth pictures."""
 
     def cloud(self, frame: int) -> np.ndarray:
         """Points of the tissue in a frame, shape [m, 3] [m]; m = 0 where the camera saw none.
@@ -110,8 +110,8 @@ class Sequence:
             return moved(points[np.isfinite(points).all(axis=1)], self.eye(frame))
         depth = read_image(file, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(self.given.depth_factor)
         if depth.shape != (camera.height, camera.width):
-            said = f"holds no depth of {camera.width}x{camera.height}, the size in {self.given.camera}"
-            raise InputError(f"{printable(file)} {said}; give depth pictures of one channel, and their camera.")
+            why = f"holds no depth of {camera.width}x{camera.height}, the size in {self.given.camera}"
+            raise InputError(f"{printable(file)} {why}; give depth pictures of one channel, and their camera.")
         depth = Undistortion(camera).depth(depth) if any(camera.distortion) else depth
         return moved(back_project(depth, camera)[depth > 0].astype(np.float64), self.eye(frame))
 
@@ -161,7 +161,7 @@ class Tool:
     turns: Rotation
     """K of them, in the robot's frame."""
     places: np.ndarray
-    """Of its own frame's origin, shape [K, 3] [m]."""
+    """Places of its own frame's origin, shape [K, 3] [m]."""
     tip: np.ndarray
     """Where it touches tissue, in its own frame, shape [3] [m]."""
 
@@ -204,8 +204,8 @@ def open_sequence(path: Path) -> Sequence:
     else:
         times = (np.array(numbers) - min(numbers, default=0)) / (given.fps or 1.0)
     if len(files) < 2 or len(times) != len(files):
-        said = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
-        raise InputError(f"{where} {said}; give 2 at least, their {{number}} in the files' names, and a time for each.")
+        why = f"names {len(files)} frames ({given.clouds or given.depth}) and {len(times)} times"
+        raise InputError(f"{where} {why}; give 2 at least, their {{number}} in the files' names, and a time for each.")
     low, high = given.gripped_s or (times[0], times[-1])
     rounded = 1e-3  # to which times in tables are [s]
     held = np.flatnonzero((low - rounded <= times) & (times <= high + rounded))
@@ -220,6 +220,6 @@ def open_sequence(path: Path) -> Sequence:
     places, tip = scale * table[:, 1:4], scale * np.array(given.tip, float)
     tool = Tool(folder / given.poses, table[:, 0], Rotation.from_quat(table[:, 4:]), places, tip)
     if times[0] < table[0, 0] - rounded or times[-1] > table[-1, 0] + rounded:
-        said = f"from {table[0, 0]:g} to {table[-1, 0]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
-        raise InputError(f"{printable(tool.path)} reaches {said}; put both on one clock.")
+        why = f"from {table[0, 0]:g} to {table[-1, 0]:g} s, the frames from {times[0]:g} to {times[-1]:g} s"
+        raise InputError(f"{printable(tool.path)} reaches {why}; put both on one clock.")
     return Sequence(path, given, files, numbers, times, tool, pins, radius, range(held[0], held[-1] + 1), camera)

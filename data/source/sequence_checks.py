@@ -36,8 +36,8 @@ def _require_metres(sequence: Sequence, cloud: np.ndarray) -> None:
     if not 1e-3 <= size <= 2.0:  # tissue that is wider or narrower has another unit
         likely, unit = ("millimetres", "mm") if size > 2.0 else ("metres", "m")
         give = f"unit: {unit}" if sequence.camera is None else "the length of its unit in metres as depth_factor"
-        said = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
-        raise InputError(f"{printable(sequence.files[sequence.held[0]])} {said}.")
+        problem = f"is {size:.3g} m wide, which looks like {likely}; give {give}"
+        raise InputError(f"{printable(sequence.files[sequence.held[0]])} {problem}.")
     radius = sequence.grip_radius
     # A smaller grip has another unit [m].
     if not 5e-5 < radius < size:
@@ -50,6 +50,6 @@ def _require_frame(sequence: Sequence, trees: list[KDTree], tips: np.ndarray) ->
     )
     reach = max(NEAR, 2 * sequence.grip_radius)
     if apart > reach:
-        said = "frames; check hand_eye, camera_on and tip" if min(otherwise) > reach else "units; give both in one"
-        said = f"the tip stays {apart:.3g} m from the tissue: clouds and poses seem to be in different {said}"
-        raise InputError(f"{printable(sequence.path)}: {said}.")
+        problem = "frames; check hand_eye, camera_on and tip" if min(otherwise) > reach else "units; give both in one"
+        problem = f"the tip stays {apart:.3g} m from the tissue: clouds and poses seem to be in different {problem}"
+        raise InputError(f"{printable(sequence.path)}: {problem}.")

@@ -107,8 +107,8 @@ def draw_tip_path(scene: Scene, generator: np.random.Generator) -> Callable[[np.
 
     def path(shares: np.ndarray) -> np.ndarray:
         share = np.clip(shares / rise, 0, 1)
-        gone = (share**3 * (10 - 15 * share + 6 * share**2))[:, None]
-        return gone * far + 4 * gone * (1 - gone) * sideways
+        progress = (share**3 * (10 - 15 * share + 6 * share**2))[:, None]
+        return progress * far + 4 * progress * (1 - progress) * sideways
 
     return path
 

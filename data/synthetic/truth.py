@@ -267,7 +267,7 @@ def force_factor(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray
 
 
 def force_after(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:
-    """The same just after any times, 0 outside the load."""
+    """Return the force factor just after any times, 0 outside the load."""
     loaded = (time > -TIME_TOLERANCE) & (time < load - TIME_TOLERANCE)
     return np.where(loaded, force_factor(shape, time, load), 0.0)
 

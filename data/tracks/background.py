@@ -16,7 +16,7 @@ ITERATIONS = 6
 OUTLIER = 3.0
 """Points that move otherwise by more standard deviations are no background."""
 LEAST_NOISE = 0.1
-"""Of following, by axis [px]."""
+"""Least noise of following, by axis [px]."""
 MEDIAN_LENGTH = 1.1774
 """Median length of a plane normal vector of unit standard deviation by axis."""
 

@@ -17,7 +17,7 @@ from palpate.data.labels import TOOL
 from palpate.data.tracks.linking import Linker, flat, patterns, resemblance
 
 SPACING = 8
-"""Of the grid of points [px]."""
+"""Spacing of the grid of points [px]."""
 TOUCHED = 3
 """A point that comes nearer to the tool is lost: it may be the tool's [px]."""
 EDGED = 12
@@ -95,7 +95,7 @@ class Shown:
 
     @cached_property
     def away(self) -> np.ndarray:
-        """Distance of every pixel from the tool, as of `tool_distance`."""
+        """Distance of every pixel from the tool, as in `tool_distance`."""
         return tool_distance(self.tool)
 
     @cached_property

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 COARSE, MIN_SIDE = 4, 16
-"""Of DIS: how much smaller its pictures are, which it refuses below some width [px]."""
+"""Settings of DIS: how much smaller its pictures are, which it refuses below some width [px]."""
 STRIDE, DESCENTS = 5, 12
-"""Of DIS: distance of its patches [px], and steps of each; its finest scale is the small picture's own."""
+"""Settings of DIS: distance of its patches [px], and steps of each; its finest scale is the small picture's own."""
 LOCAL = 15
 """Width of the square whose mean is taken off the picture [px]."""
 WINDOW, ALONE = 9, 15
@@ -26,7 +26,7 @@ MAX_STEP = 3.0
 SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
-"""Of a pattern around a point, to either side, and between its samples [px]."""
+"""Half width of a pattern around a point, to either side, and between its samples [px]."""
 
 
 Mask = np.ndarray | None
@@ -56,9 +56,9 @@ class Prepared(NamedTuple):
     """Without its local mean, float32 [H, W]. It is bent back before it is rounded: of whole numbers a shift by a few
     hundredths of a pixel leaves nothing where contrast is low."""
     exact: np.ndarray
-    """The same, rounded, uint8 [H, W]."""
+    """Picture rounded to whole numbers, uint8 [H, W]."""
     rough: np.ndarray
-    """Of a quarter of the size, uint8."""
+    """Picture of a quarter of the size, uint8."""
     shares: np.ndarray
     """Width and height of the whole picture over those of the small one, float32 [2]."""
 
@@ -126,7 +126,7 @@ class Linker:
     def refine(
         self, one: Prepared, other: Prepared, places: np.ndarray, motion: np.ndarray, apart: np.ndarray
     ) -> Links:
-        """The same where the way is known to a few pixels; infinite where that is not confirmed.
+        """Return the motion where the way is known to a few pixels; infinite where that is not confirmed.
 
         The other picture is bent back by it first: a window that is stretched or turned resembles itself again.
 

@@ -76,7 +76,7 @@ def dent_of(contact: Interaction) -> DepthLikelihood:
 
 
 def _sequence_noise(contact: Interaction) -> float:
-    """σ of every pixel's error [scene units]; larger where errors are correlated in time, as of fewer pixels."""
+    """σ of every pixel's error [scene units]; larger where errors are correlated in time, like fewer pixels."""
     sequence, noise = contact.sequence, network_noise(contact)
     correlated = sequence is not None and len(sequence.times) and not sequence.noise.rounded
     return noise * math.sqrt(sequence.noise.correlated_in_time) if correlated else noise

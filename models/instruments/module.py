@@ -131,7 +131,7 @@ class InstrumentSegmentation(LightningModule):
             A sentence that names the file and the share of these pictures' pixels that it decides otherwise than torch.
 
         Raises:
-            ForeignFile, ParityError: as of `models.onnx_export.export`.
+            ForeignFile, ParityError: as in `models.onnx_export.export`.
         """
         pictures = torch.cat([batch[0] for batch in datamodule.val_dataloader()])
         network = self.averaged.module.cpu().eval()
@@ -190,10 +190,10 @@ def segmentation_loss(logits: Tensor, batch: PictureBatch, edge_weight: float) -
     counted = functional.avg_pool2d(known, 2)
     target = inside / counted.clamp(min=1e-6)
     spread = functional.max_pool2d(target, 5, 1, 2) + functional.max_pool2d(-target, 5, 1, 2)  # 1 near an edge
-    seen = counted > 0.5
-    weight = seen * (1 + (edge_weight - 1) * spread)
+    predicted = counted > 0.5
+    weight = predicted * (1 + (edge_weight - 1) * spread)
     entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
-    probability, target = torch.sigmoid(logits) * seen, target * seen
+    probability, target = torch.sigmoid(logits) * predicted, target * predicted
     overlap, both = (probability * target).sum((1, 2, 3)), (probability + target).sum((1, 2, 3))
     dice = 1 - (2 * overlap + 30) / (both + 30)
     return (weight * entropy).sum() / weight.sum().clamp(min=1) + dice.mean()

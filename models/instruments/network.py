@@ -27,7 +27,7 @@ def convolution(inputs: int, outputs: int, kernel: int = 1, stride: int = 1, gro
 
 
 def activated(*shape: int) -> nn.Sequential:
-    """The same with ReLU6, whose range suits 8-bit numbers."""
+    """Return the activation with ReLU6, whose range suits 8-bit numbers."""
     return nn.Sequential(convolution(*shape), nn.ReLU6(inplace=True))
 
 

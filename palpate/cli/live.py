@@ -31,6 +31,7 @@ from palpate.common.command_line import size_of
 from palpate.common.doors import INTERRUPTED
 from palpate.common.files import as_json
 from palpate.common.options import filled, option, parse
+from palpate.common.registry import Registry
 from palpate.common.settings import LARGEST, Positive
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
@@ -45,6 +46,8 @@ from palpate.estimators.session import estimates_of
 from palpate.results.alarm import ForceAlarm
 from palpate.results.options import FRAME_FORCE, require_able
 
+LIVE = Registry("live estimator", ESTIMATORS.group, {x: ESTIMATORS.entries[x].value for x in ("network", "online")})
+"""Estimators that estimate while frames come."""
 WAITING, UNDECIDED = 1, 16
 """Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
 
@@ -86,9 +89,7 @@ class Live:
 
     source: str = option(positional=True, metavar="SOURCE")
     """camera's number, address of a stream, video file (played at its own rate), or - for RGB pictures from a pipe"""
-    estimator: str | None = option(
-        None, choices=lambda: [*ESTIMATORS.entries], needs=("live", "estimates while frames come")
-    )
+    estimator: str | None = option(None, choices=lambda: [*LIVE.entries], needs=("live", "estimates while frames come"))
     """one that estimates while frames come (default: what --model is for, else network)"""
     max_latency: Annotated[float, 1e-3, LARGEST] = option(1.0, metavar="SECONDS")
     """frames that have waited longer are dropped and counted [s]"""
@@ -123,7 +124,8 @@ class Live:
 
 def main(arguments: list[str] | None = None) -> int:
     """Estimate until the source ends; returns the exit status."""
-    more: dict[str, Any] = {"without": ("layout", "topic"), "component": infer.ESTIMATOR, "defaults": {"rate": "fast"}}
+    component = dataclasses.replace(infer.ESTIMATOR, registry=LIVE)
+    more: dict[str, Any] = {"without": ("layout", "topic"), "component": component, "defaults": {"rate": "fast"}}
     values = vars(parse((Live, Preparation), arguments, "", __doc__, **more))
     options: Live = filled(Live, values)
     try:
@@ -166,14 +168,14 @@ class JsonLines:
 
     Args:
         source: whose estimates are printed.
-        server: as of `igtl_server`; its client gets lines as texts called palpate. None = there is none.
+        server: as in `igtl_server`; its client gets lines as texts called palpate. None = there is none.
         alarm: of a limit of force, where there is one.
     """
 
     def __init__(self, source: LiveSource, server: Any, alarm: ForceAlarm | None) -> None:
         self.source, self.server, self.alarm = source, server, alarm
         self._late: dict[bool, deque[float]] = {decided: deque(maxlen=1 << 16) for decided in (False, True)}
-        """Of the last frames, when they were prepared and when they were decided [s]."""
+        """Latencies of the last frames, when they were prepared and when they were decided [s]."""
         self._frames, self._begun = 0, time.monotonic()
         self._one = threading.Lock()
 

@@ -106,8 +106,8 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
         with replacing_own(output / NAMES[1]) as partial:
             draw_plan(scene, ways).savefig(partial, dpi=110)
     for name, found in numbers.items():
-        told = f"deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm"
-        print(f"{name}: cost {found['cost']:.2f} ({told})")
+        summary = f"deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm"
+        print(f"{name}: cost {found['cost']:.2f} ({summary})")
     say(console, f"written: {output}/{NAMES[0]}, {output}/{NAMES[1]}")
     return 0
 
@@ -137,6 +137,6 @@ def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, console: Consol
 
 
 def _numbers(plan: Plan) -> dict[str, Any]:
-    """Of a way, as the record has them."""
+    """Return the numbers of a way, as the record has them."""
     numbers = {"cost": plan.cost, "deformation": plan.deformation, "way": plan.way}
     return {"places": np.round(plan.places, 6).tolist()} | numbers

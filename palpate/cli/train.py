@@ -297,13 +297,13 @@ def main(arguments: list[str] | None = None) -> int:
                 **{"seed_everything_default": 0, "args": arguments},
             )
     except (*WRONG_USE, *FAILURES) as error:
-        said = str(error)
+        text = str(error)
         status = 2 if isinstance(error, WRONG_USE) else 1
     except OSError as error:
         if error.strerror is None:  # the error is not from the file system
             raise
         where = error.filename or "The run folder"
-        said, status = f"{where}: {error.strerror}; make room or choose another folder.", 1
+        text, status = f"{where}: {error.strerror}; make room or choose another folder.", 1
     except Exception as error:
         from mlflow.exceptions import MlflowException  # as above
 
@@ -311,12 +311,12 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         # The database was locked or lost during the run.
         reason = " ".join(str(error).split())[:200]
-        said, status = f"tracking failed ({reason}); go on with --tracking false, a training with --ckpt_path last.", 1
+        text, status = f"tracking failed ({reason}); go on with --tracking false, a training with --ckpt_path last.", 1
     except (KeyboardInterrupt, SystemExit) as error:  # Lightning turns Ctrl-C into exit status 1
         if not by_interrupt(error):
             raise
         return INTERRUPTED
     else:
         return 0
-    print(plain(f"{program()}: {said}"), file=sys.stderr)
+    print(plain(f"{program()}: {text}"), file=sys.stderr)
     return status

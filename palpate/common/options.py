@@ -76,10 +76,12 @@ class Parser(argparse.ArgumentParser):
         """Defaults by field; ... where it is required."""
         self.others: Callable[[], dict[str, type[Any]]] = dict
         """Returns settings that aren't chosen, by what chooses them."""
+        self.origin = ""
+        """Prefix of errors: the file that options are read from."""
         self._own = dict(defaults or {})
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n")
+        self.exit(2, f"{self.prog}: error: {self.origin}{message}\n")
 
     def format_help(self) -> str:
         """Return the help, with the settings that aren't chosen at the end."""
@@ -197,7 +199,8 @@ def parse(
     for kind in kinds:
         parser.declare(kind, without)
     chosen, content = _chosen(parser, tokens, component, without) if component else ({}, {})
-    values = parser.known | parser.values(parser.tokens(content)) | parser.values(tokens) | chosen
+    given, parser.origin = parser.values(parser.tokens(content)), ""
+    values = parser.known | given | parser.values(tokens) | chosen
     values.pop("config", None)
     if values.pop("print_config", False):
         known = {name: None if value is ... else value for name, value in values.items()}
@@ -228,9 +231,11 @@ def _chosen(
     try:
         content |= _read(Path(path)) if (path := peek("config")) else {}
         name = peek(component.flag) or component.default(peek)
+        parser.origin = f"{path}: " if name == content.get(component.flag) else ""
         parser.declare(component.registry[name], without, f"{flag} {name}: ")
     except ValueError as error:
         parser.error(str(error))
+    parser.origin = f"{path}: " if content else ""
 
     def others() -> dict[str, type[Any]]:
         try:

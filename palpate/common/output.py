@@ -13,7 +13,8 @@ from pathlib import Path
 from palpate.common.files import all_below, as_json, file_sha256, read_file, replacing
 
 LIST = ".written-by-palpate.json"
-"""Of what this program wrote in its folder: two hashes by name, the earlier file's and the one that took its place."""
+"""File list of what this program wrote in its folder: two hashes by name, the earlier file's and the one that took its
+place."""
 
 
 class ForeignFile(FileExistsError):
@@ -39,7 +40,7 @@ def require_own(*paths: Path) -> None:
 
 @contextmanager
 def replacing_own(path: Path) -> Generator[Path]:
-    """As `palpate.common.files.replacing`, of a file that is not there yet or still as this program wrote it.
+    """Replace a file that is not there yet or still as this program wrote it; see `palpate.common.files.replacing`.
 
     Raises:
         ForeignFile: see `require_own`.

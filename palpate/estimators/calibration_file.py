@@ -42,7 +42,7 @@ class CalibrationFile(Checked):
     """calibration.json of `palpate calibrate`, next to this file: E, of which k_s is three quarters, times
     `thickness_m`."""
     thickness_m: Positive | None = None
-    """Of the sheet that the tissue's surface is [m]."""
+    """Thickness of the sheet that the tissue's surface is [m]."""
     thickness_sd_m: NotNegative = 0.0
     """Its standard deviation [m]."""
 

@@ -42,8 +42,8 @@ class CloudShape:
     """Points of a cloud that tell the height of a place."""
 
     def __init__(self, cloud: np.ndarray, what: str) -> None:
-        said = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
-        self._cloud, self._sparse = cloud, InputError(said)
+        text = f"{what} has too few points for a surface, or some far off; give a denser cloud of tissue alone."
+        self._cloud, self._sparse = cloud, InputError(text)
         if len(cloud) < self.neighbours:
             raise self._sparse
         self._tree = KDTree(cloud[:, :2])

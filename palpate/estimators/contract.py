@@ -39,7 +39,7 @@ class Preparation:
     """preset or .yaml file with the settings to read --depth MODEL.onnx"""
     masks: str | None = option(None, metavar="SOURCE", names=mask_names)
     """a segmentation model's .onnx file, outlines of instruments in a frame, which are followed from there (a .yaml
-    file, docs/reports/masks.md), auto (annotation where there is one, else automatic; default), or a source"""
+    file, docs/masks.md), auto (annotation where there is one, else automatic; default), or a source"""
     layout: Path | ClipLayout | None = option(None, metavar="FILE")
     """YAML file that names a folder's files (default: CholecSeg8k)"""
     topic: str | None = option(None, metavar="NAME", setting="layout.topic")
@@ -104,7 +104,7 @@ class ClipInfo:
 
     @classmethod
     def of(cls, clip: ClipStream) -> Self:
-        """Of an opened clip."""
+        """Describe an opened clip."""
         settings, source = clip.settings, clip.source
         return cls(source.fps, source.size, clip.picture_camera, settings.geometry, settings.bridge_frames)
 

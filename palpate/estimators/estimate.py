@@ -152,7 +152,7 @@ class PressResult:
         return not self.misfit > self.largest_misfit and not self.refuted
 
     def widened(self, added: np.ndarray) -> Self:
-        """The same with a covariance [3, 3] added to its own, and to that of its verdict."""
+        """Return the result with a covariance [3, 3] added to its own, and to that of its verdict."""
         # (D⁻¹ + A)⁻¹ = (1 + DA)⁻¹D, which exists where D is singular, too.
         expected = np.linalg.solve(np.eye(3) + self.verdict_information @ added, self.verdict_information)
         own = {"covariance": self.covariance + added, "expected_information": (expected + expected.T) / 2}

@@ -46,7 +46,7 @@ class ClipLength:
 
     @classmethod
     def of(cls, clip: ClipStream) -> "ClipLength":
-        """As the clip itself tells it.
+        """Return the length as the clip itself tells it.
 
         Raises:
             InputError: by its camera file tissue would lie nearer or farther away than NEAREST and FARTHEST.
@@ -54,13 +54,13 @@ class ClipLength:
         metres, log_sd, by = clip.metres or (None, 0.0, "")
         unit = None if metres is None else clip.scale * metres
         if unit is not None and clip.sources["depth"] == "stored" and not NEAREST <= unit <= FARTHEST:
-            said = f"by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres."
-            raise InputError(f"{clip.source.path}: {said}")
+            text = f"by metres_per_depth {metres:g} tissue is {unit:g} m away; give metres."
+            raise InputError(f"{clip.source.path}: {text}")
         return cls(clip.scale, unit, log_sd, by)
 
     @property
     def record(self) -> dict[str, Any]:
-        """The same in words and millimetres, with a 90 % interval."""
+        """Description in words and millimetres, with a 90 % interval."""
         if self.metres is None or not math.isfinite(self.metres):
             return {"mm": None, "by": self.by, "says": "scene units are not metric"}
         mm, half = 1000 * self.metres, math.exp(NINETY * self.log_sd)

@@ -72,7 +72,7 @@ class FrameEstimate:
     """The estimate's; `undetermined` for a frame in contact of which nothing can be said; empty unless the status is
     ok, and from an estimator of whole runs only."""
     determined: str | None = column(DETERMINED, None, kw_only=True)
-    """As the estimate has it, or what the end of the contact leaves of that."""
+    """Determined quantities, as the estimate has it, or what the end of the contact leaves of that."""
     pull: RelativeForce | None = group(RelativeForce, kw_only=True)
     detail: str = column("sentences about the status, or about what can't be trusted", "")
     alarm: str | None = column("", None, kw_only=True)
@@ -190,7 +190,7 @@ class InteractionEstimate:
 
     @property
     def rows(self) -> tuple[Any, ...]:
-        """What interactions.csv has of the contact, as of `CONTACTS`."""
+        """What interactions.csv has of the contact, as in `CONTACTS`."""
         found, press, contact = self.main_estimate, self.estimate, self.interaction
         stuck, fit = "", (None, None)
         if press is not None:
@@ -198,11 +198,11 @@ class InteractionEstimate:
             fit = press.noise, press.misfit
         frames = 0 if contact is None else len(contact.observation)
         frames = frames if self.beside is None else len(self.beside.times)
-        said = ("", "", "") if found is None else (found.verdict, ";".join(found.determined), found.explanation)
+        conclusion = ("", "", "") if found is None else (found.verdict, ";".join(found.determined), found.explanation)
         status = "no_estimate" if found is None else "ok"
         observed = Onset(self.onset_frame, self.onset_time_s), Followed(self.instrument, frames, self.load_s)
         pressed = () if press is None else (press.course, press.numbers)
-        return *observed, *pressed, Outcome(self.skill, *said, *fit, stuck, status, self.detail)
+        return *observed, *pressed, Outcome(self.skill, *conclusion, *fit, stuck, status, self.detail)
 
 
 FRAMES = Table.of(FrameEstimate)

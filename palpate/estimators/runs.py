@@ -178,7 +178,7 @@ class RunSession:
         self.mechanics = mechanics.matched(1 / clip.fps)
         """The simulator, its steps matched to the clip's frame rate."""
         self.lit_mechanics = MECHANICS.matched(1 / clip.fps)
-        """That of estimates by light."""
+        """Mechanics of estimates by light."""
         self.by_light = False
         """Whether a press is estimated by the light of the tissue, where it is known."""
         self.needs_light = False

@@ -38,15 +38,15 @@ class Series:
         self._shown, self.times, self.values = shown, np.array(times), np.array(values)
 
     def frame(self, frame: PreparedFrame) -> Any | None:
-        """As of `Recorder`."""
+        """See `Recorder`."""
         return self._shown(frame)
 
     def record(self, times: np.ndarray, values: list[Any], _: int) -> Series:
-        """As of `Recorder`."""
+        """See `Recorder`."""
         return Series(self._shown, times, values)
 
     def chosen(self, instants: np.ndarray) -> Series:
-        """The same at some of its instants: a mask [N] or indices."""
+        """Return the observation at some of its instants: a mask [N] or indices."""
         return Series(self._shown, self.times[instants], self.values[instants])
 
 
@@ -83,7 +83,7 @@ class Observation:
         return Series(lambda frame: cls.shown(frame, onset))
 
     def look(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray, *, outliers: bool = False) -> None:
-        """Decide near the best motion what is then kept; arguments as of `linearise`.
+        """Decide near the best motion what is then kept; arguments as in `linearise`.
 
         Args:
             outliers: whether values that lie far from that motion count less from now on.
@@ -99,7 +99,7 @@ class Observation:
         raise NotImplementedError
 
     def misfit(self, moved: np.ndarray, logs: np.ndarray) -> float:
-        """Return the root mean square of the residuals; arguments as of `linearise`."""
+        """Return the root mean square of the residuals; arguments as in `linearise`."""
         slopes = np.zeros((*moved.shape, len(logs) - len(self.nuisance)))
         return float(np.sqrt(np.square(self.linearise(moved, slopes, logs).residual).mean()))
 
@@ -120,7 +120,7 @@ class JointLikelihood(LeastSquares):
 
     Args:
         observations: one or more.
-        motion_of: makes the motion of vertices [V] at instants [N], as of `estimators.direct.motion`.
+        motion_of: makes the motion of vertices [V] at instants [N], as in `estimators.direct.motion`.
     """
 
     def __init__(self, observations: Sequence[Any], motion_of: Callable[[np.ndarray, np.ndarray], Any]) -> None:
@@ -200,13 +200,13 @@ class JointLikelihood(LeastSquares):
         return Linearised(np.concatenate(residuals), np.concatenate(jacobians))
 
     def copy(self) -> Self:
-        """The same, which looks for itself from now on."""
+        """Return a copy, which looks for itself from now on."""
         found = copy.copy(self)
         found.observations = tuple(map(copy.copy, self.observations))
         return found
 
     def coarser(self) -> Self:
-        """The same with larger steps, to search with; it has not looked at anything of its own yet."""
+        """Return the problem with larger steps, to search with; it has not looked at anything of its own yet."""
         found = self.copy()
         found.motion, found._last = self.motion.coarser(), None
         return found

@@ -18,7 +18,7 @@ class DepthObservation(DepthLikelihood, Observation):
 
     Args:
         contact: with a sequence of one frame or more.
-        noise, others: as of `DepthLikelihood`.
+        noise, others: as in `DepthLikelihood`.
     """
 
     def __init__(self, contact: Interaction, noise: float | None = None, **others: Any) -> None:

@@ -34,7 +34,7 @@ class Shown(NamedTuple):
     gloss: np.ndarray
     """Light that the surface mirrors, where it would be as much as the matt light if it faced the camera, [N, P]."""
     gloss_at_rest: np.ndarray
-    """The same at rest, shape [N, P]."""
+    """Gloss at rest, shape [N, P]."""
 
 
 class LitSheet:
@@ -43,7 +43,7 @@ class LitSheet:
     Args:
         mesh: tissue at rest; its grid, camera, outline and the contact's distance count, not its shape.
         vertex: the contact.
-        rest: light at rest, as of `ShadingSequence`.
+        rest: light at rest, as in `ShadingSequence`.
         tilt: of the plane, right and down, as tangents against the plane that faces the camera; None = the mesh itself
             is simulated, whose tilt at the contact is the plane's.
     """
@@ -114,7 +114,7 @@ class LitSheet:
             moved: displacements of the vertices, shape [N, V, 3].
             others: how far the dent lies aside (rows, columns) [grid pixels], the plane's tilt (right, down), and
                 logarithms of how far the surface is rounded off [grid pixels], how far light spreads in tissue
-                [grid pixels], and how wide the lobe of mirrored light is [rad], then the roughness, as of `matt`,
+                [grid pixels], and how wide the lobe of mirrored light is [rad], then the roughness, as in `matt`,
                 shape [8].
         """
         aside, normal, rough = others[:2], self.normal_at(others[2:4]), others[7]

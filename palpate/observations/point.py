@@ -13,7 +13,7 @@ class PointObservation(Observation):
     """Displacement of the contact vertex; every run has it, recorded by `InteractionBuilder`.
 
     Args:
-        contact: as of `Observation`.
+        contact: as in `Observation`.
         noise: σ of every coordinate [scene units]; None = as recorded.
     """
 

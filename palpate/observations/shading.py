@@ -29,9 +29,9 @@ from palpate.physics.observation import Observation as Points
 FREEDOM = 3.0
 """Degrees of freedom of Student's errors: highlights that moved and wrong outlines are no normal errors."""
 AMPLITUDE = 0.25
-"""The same of every place, common to all frames: its gloss and albedo are its own."""
+"""Standard deviation of every place's amplitude, common to all frames: its gloss and albedo are its own."""
 LEAST_NOISE = 0.004
-"""Of the logarithm of light: a level of 8 bits in brightly lit tissue."""
+"""Least noise of the logarithm of light: a level of 8 bits in brightly lit tissue."""
 NUISANCE = (
     # Where the dent's middle lies, by rows and columns [grid pixels].
     *2 * [Parameter(0, 2.0, 5.0)],
@@ -101,8 +101,8 @@ class ShadingObservation(Observation):
         self.observed = self.sequence.light.reshape(len(self.times), -1).astype(np.float64)
         """Shape [N, P]."""
         self._inner, rest = self.sheet.inner.ravel(), self.sequence.rest.ravel()
-        seen = np.isfinite(np.vstack([rest, self.observed]))
-        self._followed = seen[1:] & seen[:-1]  # since the frame before; others are coded anew
+        mask = np.isfinite(np.vstack([rest, self.observed]))
+        self._followed = mask[1:] & mask[:-1]  # since the frame before; others are coded anew
         # What a level of 8 bits is in the logarithm of light, by a response of 1/2.2.
         self._level = 2.2 / 255 * np.exp(-rest / 2.2)
         self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
@@ -151,7 +151,7 @@ class ShadingObservation(Observation):
         return light, (found - light[..., None]) / STEP
 
     def linearise(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray) -> Linearised:
-        """As of `Observation`, the priors' residuals behind those of the light."""
+        """See `Observation`, the priors' residuals behind those of the light."""
         both = self._whitened(moved, slopes, logs)
         if self._own_mesh:
             both = self._errors.marginalised(both)
@@ -258,10 +258,10 @@ def _together(residual: np.ndarray, known: np.ndarray) -> float:
     """How many residuals [N, L, L] count as one: along every axis 1 and twice the sum of their correlations."""
     square, found = np.square(residual).sum() / max(known.sum(), 1), 1.0
     for axis in range(residual.ndim):
-        values, seen = np.moveaxis(residual, axis, 0), np.moveaxis(known, axis, 0)
+        values, mask = np.moveaxis(residual, axis, 0), np.moveaxis(known, axis, 0)
         along = 1.0
         for lag in range(1, min(LAGS, len(values) - 1) + 1):
-            pairs = max((seen[lag:] & seen[:-lag]).sum(), 1)
+            pairs = max((mask[lag:] & mask[:-lag]).sum(), 1)
             correlation = float((values[lag:] * values[:-lag]).sum() / (pairs * max(square, 1e-12)))
             if correlation <= CHANCE:
                 break

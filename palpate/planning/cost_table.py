@@ -44,7 +44,7 @@ class CostTable:
     work: np.ndarray
     """Shape [K, L] [J]."""
     spacing: float
-    """Of the places [m]."""
+    """Spacing of the places [m]."""
 
     def cost(self, places: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         """Work of other presses, shape [M] [J].
@@ -65,7 +65,7 @@ class CostTable:
 
 
 def mirrored(places: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same presses seen from the side from which they come with y ≤ 0."""
+    """Return the presses seen from the side from which they come with y ≤ 0."""
     behind = places[:, 1] > 0
     return np.where(behind[:, None], places * [1, -1], places), np.where(behind, -angles, angles)
 
@@ -81,7 +81,7 @@ def grid_of(kind: SoftObject) -> tuple[np.ndarray, np.ndarray]:
 
 
 def representatives(kind: SoftObject, places: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Of presses [K, 2], [K] the first one that costs the same as each, shape [K]."""
+    """Return for presses [K, 2] the first one that costs the same as each, shape [K]."""
     presses = zip(places, angles, strict=True)
     keys = [min(_key(*image) for image in _images(kind, place, angle)) for place, angle in presses]
     return np.array([keys.index(key) for key in keys])
@@ -96,12 +96,12 @@ def _images(kind: SoftObject, place: np.ndarray, angle: float) -> list[tuple[np.
 
 
 def _key(place: np.ndarray, angle: float) -> tuple[float, ...]:
-    """The same for presses that differ by rounding."""
+    """Return one key for presses that differ by rounding."""
     return tuple(np.round([*place, np.cos(angle), np.sin(angle)], 9) + 0.0)
 
 
 def digest(kind: SoftObject, radius: float) -> str:
-    """Of all that a table depends on."""
+    """Return a digest of all that a table depends on."""
     version = 3  # of what is in a file
     constants = [version, code_digest("kernels"), PLACES, ANGLES.tolist(), LENGTHS, STEPS, MOST_FORCE]
     return digest_of([*constants, radius, asdict(kind)])[:16]
@@ -169,4 +169,4 @@ def open_tables(
         ForeignFile: see `open_table`.
     """
     kinds = [(name, kind, functools.partial(report, name)) for name, kind in scene.objects.items()]
-    return {name: open_table(kind, scene.tip_radius, cache, told)[0] for name, kind, told in kinds}
+    return {name: open_table(kind, scene.tip_radius, cache, made)[0] for name, kind, made in kinds}

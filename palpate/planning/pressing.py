@@ -19,11 +19,12 @@ from palpate.planning.roadmap import DIGITS, MILLI, TIE, Plan, weighed
 from palpate.planning.scene import SoftObject, SpaceScene
 
 RADIUS = 0.01
-"""Of the tip that presses the block [m]."""
+"""Radius of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
 SHAPE_SD, WORK_SD = 0.45, 0.56
-"""Of the logarithm of forces, and of work: how far bodies of other shapes are from the block (docs/forces.md)."""
+"""Standard deviations of the logarithm of forces, and of work: how far bodies of other shapes are from the block
+(docs/forces.md)."""
 
 
 def unit_press(poisson: float) -> np.ndarray:
@@ -47,12 +48,13 @@ class PressingCosts:
         self.scene, self.known, self.radius = scene, known, scene.tip_radius
         self.start, self.goal, self.port = (np.array(place) for place in (scene.start, scene.goal, scene.port))
         self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
-        """Of the grid, shape [2, 3] [m]."""
+        """Corners of the grid, shape [2, 3] [m]."""
         self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [SHAPE_SD, WORK_SD])).tolist()
         """From a force, and from work, to the upper end of its 90 % interval, factors."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Of points [M, 3] from the body, negative within, shape [M] [m]; outside the grid as at its border."""
+        """Return the distance of points [M, 3] from the body, negative within, shape [M] [m]; outside the grid as at
+        its border."""
         cells = (points - self.known["low"]) / self.known["step"]
         return ndimage.map_coordinates(self.known["values"], cells.T, order=1, mode="nearest").astype(float)
 
@@ -99,7 +101,8 @@ class PressingCosts:
         return np.add.reduceat(changes, begin) / 2, np.maximum.reduceat(force, begin)
 
     def deformation(self, work: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Of lines of which `edges` told work and force, infinite over the limit, shape [K] [mJ]."""
+        """Return the deformation cost of lines of which `edges` told work and force, infinite over the limit, shape [K]
+        [mJ]."""
         # Share of the limit that the force may reach at those places; between them it is up to 4.5 % larger.
         over = force * self.scene.young * self.spread > 0.95 * self.scene.limit_N
         return np.where(over, np.inf, np.round(MILLI * self.scene.young * work, DIGITS))

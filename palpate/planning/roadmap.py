@@ -71,15 +71,15 @@ class EdgeCosts:
             total[np.isfinite(obstacle.met(starts, ends, radius))] = np.inf
         lengths = np.linalg.norm(ends - starts, axis=1)
         for kind, piece in self.scene.pieces:
-            gone = piece.met(starts, ends, radius)
-            which = np.flatnonzero(np.isfinite(gone))
+            met = piece.met(starts, ends, radius)
+            which = np.flatnonzero(np.isfinite(met))
             if not len(which):
                 continue
             way = (ends[which] - starts[which]) / lengths[which, None]
-            tip = piece.inside_frame(starts[which] + gone[which, None] * way)
+            tip = piece.inside_frame(starts[which] + met[which, None] * way)
             turn = np.arctan2(way[:, 1], way[:, 0]) - np.radians(piece.degrees)
             table, through = self.tables[kind], piece.clearance(ends[which]) >= radius
-            pressed = np.where(through, table.lengths[-1], lengths[which] - gone[which])
+            pressed = np.where(through, table.lengths[-1], lengths[which] - met[which])
             work = MILLI * table.cost(np.clip(tip, -piece.half, piece.half), turn, pressed)
             total[which] += np.round(work, DIGITS)
         return total

@@ -40,7 +40,7 @@ class SoftObject(Checked):
     longest: Annotated[float, 1e-15, 0.1] = 0.04
     """How far the tissue is pushed along until it lets the tip by [m], 10 cm at most."""
     cells: tuple[int, int, int] = (6, 1, 5)
-    """Of the mesh along width, thickness and height, of quadratic elements."""
+    """Number of cells of the mesh along width, thickness and height, of quadratic elements."""
 
     def __post_init__(self) -> None:
         if not all(1e-4 <= size <= 10 for size in self.size):
@@ -53,7 +53,7 @@ class SoftObject(Checked):
 
     @property
     def height(self) -> float:
-        """Of the plane over the foot [m]: half of the block's."""
+        """Height of the plane over the foot [m]: half of the block's."""
         return self.size[2] / 2
 
 
@@ -106,14 +106,14 @@ class Placed:
         """
         lengths = np.linalg.norm(ends - starts, axis=1)
         ways = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
-        gone, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
+        way, touched = np.zeros(len(starts)), np.full(len(starts), np.inf)
         open_lines = np.arange(len(starts))
         for _ in range(400):
-            left = self.clearance(starts[open_lines] + gone[open_lines, None] * ways[open_lines]) - radius
+            left = self.clearance(starts[open_lines] + way[open_lines, None] * ways[open_lines]) - radius
             there = left < close
-            touched[open_lines[there]] = gone[open_lines[there]]
-            gone[open_lines] += np.maximum(left, close)
-            open_lines = open_lines[~there & (gone[open_lines] <= lengths[open_lines])]
+            touched[open_lines[there]] = way[open_lines[there]]
+            way[open_lines] += np.maximum(left, close)
+            open_lines = open_lines[~there & (way[open_lines] <= lengths[open_lines])]
             if not len(open_lines):
                 break
         return touched
@@ -145,7 +145,7 @@ class PlanScene(Checked):
     """Lower left and upper right corner of the plane's part that may be used [m]."""
     start: Pair
     goal: Pair
-    """Of the tip [m]."""
+    """Goal of the tip [m]."""
     objects: dict[str, SoftObject]
     """Kinds of tissue by name."""
     tissue: tuple[Piece, ...]
@@ -185,24 +185,24 @@ class SpaceScene(Checked):
     """The body's closed surface, next to this file: PLY, STL, OBJ, or what else trimesh reads."""
     start: Triple
     goal: Triple
-    """Of the tip's centre [m]."""
+    """Goal of the tip's centre [m]."""
     port: Triple
     """Which the shaft goes through [m]."""
     limit_N: Positive
-    """Of the force on the instrument: the upper end of its interval keeps below it all along the path."""
+    """Limit of the force on the instrument: the upper end of its interval keeps below it all along the path."""
     young: Positive
     """E [Pa]."""
     young_log_sd: NotNegative = 0.0
     """Standard deviation of its logarithm."""
     unit: Literal["m", "cm", "mm"] = "m"
-    """Of the mesh's file; all else is in metres."""
+    """Unit of the mesh's file; all else is in metres."""
     poisson: Annotated[float, 0, 0.499] = 0.45
     tip_radius: Annotated[float, 1e-15, 0.025] = 0.0025
-    """Of the tip, a ball, and of the shaft [m], 2.5 cm at most."""
+    """Radius of the tip, a ball, and of the shaft [m], 2.5 cm at most."""
     alpha: Annotated[float, 0, 1] = 0.5
     """α: cost is α·deformation [mJ] + (1 - α)·way [mm]."""
     speed: Positive = 0.01
-    """Of the tip [m/s]."""
+    """Speed of the tip [m/s]."""
 
 
 def read_plan_scene(path: Path, alpha: float | None = None) -> PlanScene | SpaceScene:

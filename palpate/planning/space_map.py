@@ -40,15 +40,15 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
     costs = PressingCosts(scene, known)
     for name in ("start", "goal", "port"):
         place = getattr(costs, name)
-        said = f"{name} {place.tolist()}"
+        text = f"{name} {place.tolist()}"
         if np.linalg.norm(place - np.clip(place, *costs.corners)) > 1.0:
-            raise InputError(f"{said} lies over 1 m from {scene.mesh}; give it in metres.")
+            raise InputError(f"{text} lies over 1 m from {scene.mesh}; give it in metres.")
         if name != "goal" and costs.distance(place[None])[0] < 0:
-            raise Blocked(f"{said} lies inside the tissue; move it out.")
+            raise Blocked(f"{text} lies inside the tissue; move it out.")
         if name != "port" and not np.isfinite(costs.loads(place[None])[0])[0]:
-            raise Blocked(f"at the {said} tip or shaft would go through the tissue; move it or the port.")
+            raise Blocked(f"at the {text} tip or shaft would go through the tissue; move it or the port.")
         if name != "port" and not np.isfinite(costs.price(place[None], place[None]))[0]:
-            raise Blocked(f"at the {said} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
+            raise Blocked(f"at the {text} the force is over limit_N, {scene.limit_N:g}; move it or the port.")
     return costs, found
 
 

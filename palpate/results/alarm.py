@@ -44,7 +44,7 @@ class ForceAlarm:
     alarms: int = 0
     """How often the probability has reached `raised`."""
     frames: Counter[str] = field(default_factory=Counter)
-    """Of each state."""
+    """Number of frames of each state."""
 
     def __post_init__(self) -> None:
         self.end_run()
@@ -72,7 +72,7 @@ class ForceAlarm:
         Args:
             time_s: time stamp [s].
             contact: whether tool and tissue touch; None = undecided, which counts as contact of unknown force.
-            probability: as of `probability`.
+            probability: as in `probability`.
         """
         if contact and np.isnan(self._onset):
             self._onset = time_s
@@ -91,7 +91,7 @@ class ForceAlarm:
         return given | {"alarms": self.alarms, "frames": frames}
 
     def sentence(self) -> str:
-        """The same in words."""
+        """Return the alarms in words."""
         return (
             f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
             f"safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames; research software, not a "

@@ -46,11 +46,11 @@ class ClipCalibration:
 
     calibration: Calibration
     scale: ForceScale | None = None
-    """Of this clip, once it has been concluded."""
+    """Force scale of this clip, once it has been concluded."""
     length: ClipLength | None = None
-    """Likewise, or set before where newtons are told on the way."""
+    """Length of a scene unit, once it is known, or set before where newtons are told on the way."""
     rows: list[dict[str, Any]] = field(default_factory=list)
-    """Of calibrated.csv, likewise."""
+    """Rows of calibrated.csv, likewise."""
     reason: str = ""
     """Why there is no scale."""
 

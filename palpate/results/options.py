@@ -47,8 +47,9 @@ class Forces:
     (geometry_msgs/WrenchStamped), or a YAML file of a force, a stiffness or a palpation (docs/forces.md). Gives k_s,
     k_d and F in physical units (calibrated.csv), the force of contacts over time (forces.json)"""
     shaft_diameter: Annotated[float, 1, 30] | None = option(None, metavar="MM")
-    """of an instrument's shaft in view, such as 5 or 8 mm: tells how long a scene unit is where depth has no metres of
-    its own, so that results are in mm and N/m (docs/inputs.md)"""
+    """diameter of an instrument's shaft in view, such as 5 or 8: gives a scene unit's length where depth has no metres.
+    forces.json then has F/k_s in mm, and with --force-scale calibrated.csv has N/m; all else stays in scene units
+    (docs/metric.md)"""
     force_limit: Positive | None = option(None, metavar="X", needs=FRAME_FORCE)
     """limit of the force in the unit of the column force, of infer in newtons with --force-scale: whether it is
     above in every frame, by its interval (docs/forces.md). Research software, not a medical device"""

@@ -5,20 +5,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from palpate.common.command_line import say
 from palpate.common.doors import plain
-from palpate.estimators.estimate import SYMBOLS
-from palpate.estimators.result import ENDS
-from palpate.results.artefacts.forces import RELATIVE
 from palpate.results.options import in_options
-from palpate.results.page.gather import contacts_of, number
+from palpate.results.page.gather import contacts_of
 from palpate.results.page.render import write_pages
-from palpate.results.store import INTERACTIONS, OutputError, read_record
-from palpate.results.verdicts import digits, numbers
+from palpate.results.store import RESULTS, OutputError, read_record
+from palpate.results.verdicts import OWN_UNITS
 
 DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
 
@@ -34,7 +32,7 @@ class Outcome:
     counts: dict[str, int] = field(default_factory=dict)
     """What was found in the clip (see `counts_of`)."""
     contacts: list[tuple[str, ...]] = field(default_factory=list)
-    """Of every contact: number, first frame, what was estimated, verdict."""
+    """Number and first frame, what is determined, and verdict of every contact."""
 
     @classmethod
     def of(cls, name: str, state: str, folder: Path) -> Self:
@@ -62,36 +60,22 @@ def plural(count: int, noun: str) -> str:
     return noun if count == 1 else f"{noun}s"
 
 
-def _estimated(contact: Mapping[str, Any]) -> str:
-    """What is determined of a contact, with half its 90 % interval and its unit."""
-    forces, newtons, shown = contact["forces"], contact["newtons"], contact["numbers"]
-    if contact["name"] == "relative_force" and forces["mean"] is not None:
-        unit = "of its peak" if forces["unit"] == RELATIVE else forces["unit"].partition(",")[0]
-        half = abs(forces["mean_high"] - forces["mean_low"]) / 2
-        return f"mean force {digits(forces['mean'], 2)} ± {digits(half, 2)} {unit}"
-    units = {"k_d/k_s": "s"}
-    if newtons.get("determined"):
-        names = newtons["determined"].split(";")
-        shown = numbers("determined", {f"{x}{end}": number(newtons[f"{x}{end}"]) for x in names for end in ENDS})
-        units = {SYMBOLS[name]: newtons[f"{name}_unit"].partition(",")[0] for name in names}
-    sure = [f"{symbol} {text} {units.get(symbol, 'units')}" for symbol, text in shown if "±" in text]
-    return ", ".join(sure) or "—"
-
-
 def _contacts(folder: Path) -> list[tuple[str, ...]]:
-    """Lines of the table of estimates: number, first frame, estimate and verdict of every contact."""
-    if not (folder / INTERACTIONS).is_file():
+    """Lines of the table of estimates: number and first frame, what is determined, and verdict of every contact."""
+    if not (folder / RESULTS).is_file():
         return []  # a sequence
-    found = enumerate(contacts_of(folder), start=1)
-    return [(str(at), one["row"]["onset_frame"], _estimated(one), one["words"]) for at, one in found]
+    return [
+        (f"{at}, frame {one['row']['onset_frame']}", estimate, one["name"].replace("_", " "))
+        for at, one in enumerate(contacts_of(folder), start=1)
+        for estimate in ["\n".join(" ".join(each) for each in one["numbers"] if "±" in each[1]) or "—"]
+    ]
 
 
 def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table of cells that do nothing to a terminal."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in columns:
-        wide = name in ("estimate", "results in, or why not")
-        table.add_column(name, no_wrap=not wide, overflow="fold", max_width=24 if name == "clip" else None)
+        table.add_column(name, no_wrap=name == "estimate", overflow="fold", max_width=24 if name == "clip" else None)
     for row in rows:
         table.add_row(*map(Text, row))
     Console().print(table, soft_wrap=True)
@@ -99,10 +83,11 @@ def _print(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) ->
 
 def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
     """Print what was estimated and how the clips went, write the batch's page and its clips', and say where."""
-    estimates = [(plain(outcome.name), *map(plain, line)) for outcome in outcomes for line in outcome.contacts]
+    estimates = [(plain(outcome.name), *line) for outcome in outcomes for line in outcome.contacts]
     if estimates:
-        title = "Estimates (± is the 90 % interval; units: scene units)"
-        _print(title, ("clip", "contact", "frame", "estimate", "verdict"), estimates)
+        _print(
+            f"Estimates (± is the 90 % interval). {OWN_UNITS}", ("clip", "contact", "estimate", "verdict"), estimates
+        )
     # A line a status: a column each would leave no room for the rest on a narrow terminal.
     counts = ["\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items()) for outcome in outcomes]
     clips = [(plain(one.name), one.state, found, plain(one.where)) for one, found in zip(outcomes, counts, strict=True)]

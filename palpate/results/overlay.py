@@ -1,4 +1,4 @@
-"""The clip with what was found drawn on it: outlines, contact point, force arrow, numbers."""
+"""Overlay on the clip: outlines, contact point, force arrow, verdict and numbers."""
 
 import textwrap
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
 from palpate.estimators.records import FrameEstimate
-from palpate.estimators.result import UNITS, values_of
+from palpate.estimators.result import values_of
 from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.verdicts import ALARMS, NOTES, Color, in_words, numbers, state
 
@@ -17,6 +17,7 @@ _TISSUE_COLOR: Color = (74, 222, 128)
 _TOOL_COLOR: Color = (56, 189, 248)
 _FORCE_COLOR: Color = (251, 146, 60)
 _SOFT: Color = (203, 213, 225)
+CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
 _FONT = cv2.FontFace("sans")
 
 
@@ -27,7 +28,11 @@ def canvas_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def draw_overlay(
-    image: np.ndarray | None, size: tuple[int, int], labels: np.ndarray | None, estimate: FrameEstimate
+    image: np.ndarray | None,
+    size: tuple[int, int],
+    labels: np.ndarray | None,
+    estimate: FrameEstimate,
+    corner: tuple[int, int] = (0, 0),
 ) -> np.ndarray:
     """Draw one frame of the overlay.
 
@@ -36,6 +41,7 @@ def draw_overlay(
         size: width and height of the source frames [px].
         labels: label map of any resolution with the frame's field of view; None where there is none.
         estimate: the frame's result.
+        corner: corner of the panel (see `panel_corner`).
 
     Returns:
         RGB uint8, of `canvas_size(size)`.
@@ -48,7 +54,7 @@ def draw_overlay(
         _outline(canvas, labels == TISSUE, _TISSUE_COLOR)
         _outline(canvas, labels == TOOL, _TOOL_COLOR)
     _mark_contact(canvas, estimate, width / size[0])
-    _panel(canvas, estimate)
+    _panel(canvas, estimate, corner)
     _footer(canvas, estimate)
     edge = ALARMS[estimate.alarm][1] if estimate.alarm else None
     if edge is not None:
@@ -80,55 +86,48 @@ def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) ->
             text(canvas, str(touch.instrument), (center[0] + 11 * scale, center[1]), max(11.0, 15 * scale), WHITE)
 
 
-def _panel(canvas: np.ndarray, estimate: FrameEstimate) -> None:
-    """Verdict, numbers and remarks at the upper left."""
-    scale = min(canvas.shape[0] / 480, canvas.shape[1] / 640)
+def panel_corner(labels: np.ndarray | None, before: tuple[int, int] = (0, 0)) -> tuple[int, int]:
+    """Return the corner farthest from instruments (0 or 1 down and across), or `before` where that is about as far."""
+    labels = None if labels is None else labels[:: 1 + len(labels) // 240, :: 1 + len(labels) // 240]
+    places = np.argwhere(labels == TOOL)
+    if labels is None or not len(places):
+        return before
+    away = [np.linalg.norm(places / labels.shape - corner, axis=1).min() for corner in CORNERS]
+    best = int(np.argmax(away))
+    return CORNERS[best] if away[best] > away[CORNERS.index(before)] + 0.2 else before
+
+
+def _panel(canvas: np.ndarray, estimate: FrameEstimate, corner: tuple[int, int]) -> None:
+    """Two lines in a corner: the verdict in words, and numbers or why there are none."""
+    height, width = canvas.shape[:2]
+    scale = min(height / 480, width / 640)
     size, step, pad = max(11.0, 15 * scale), max(15.0, 21 * scale), max(6, round(10 * scale))
-    small, width = size * 0.76, min(canvas.shape[1] - 2 * pad, round(max(262 * scale, 190)))
-    lines = _number_lines(estimate)
-    notes = [line for note in _notes(estimate) for line in wrap_text(note, width - 2 * pad, small)]
-    height = round(step * (1.2 + len(lines)) + step * 0.75 * len(notes) + 1.3 * pad)
-    shade(canvas, (pad, pad), (width, height), 0.66)
-    baseline, right = pad + step, width
-    dot = (round(2 * pad + size * 0.3), round(baseline - size * 0.35))
+    head, line = in_words(state(estimate)), _second_line(estimate)
+    head += f"; {ALARMS[estimate.alarm][0]}" if estimate.alarm else ""
+    room = width - 4 * pad
+    small = size * min(1.0, max(0.7, room / max(text_width(line, size), 1)))
+    first, *rest = [line] if text_width(line, small) <= room else wrap_text(line, room - small, small)
+    first += " …" if rest else ""
+    box = max(text_width(head, size, bold=True) + size, text_width(first, small)) + 2 * pad, step * (1 + bool(first))
+    box = round(box[0]), round(box[1] + 1.3 * pad)
+    left = width - pad - box[0] if corner[1] else pad
+    top = round(0.83 * height) - box[1] if corner[0] else pad  # a player's controls lie below
+    shade(canvas, (left, top), box, 0.66)
+    dot = (round(left + pad + size * 0.3), round(top + step - size * 0.35))
     cv2.circle(canvas, dot, round(size * 0.36), NOTES[state(estimate)].color, -1, cv2.LINE_AA)
-    text(canvas, in_words(state(estimate)), (2 * pad + size, baseline), size, WHITE, bold=True)
-    for name, value in lines:
-        baseline += step
-        text(canvas, name, (2 * pad, baseline), size, _SOFT)
-        text(canvas, value, (right, baseline), size, WHITE, right=True)
-    baseline += step * 0.2
-    for note in notes:
-        baseline += step * 0.75
-        text(canvas, note, (2 * pad, baseline), small, _SOFT)
+    text(canvas, head, (left + pad + size, top + step), size, WHITE, bold=True)
+    text(canvas, first, (left + pad, top + 2 * step), small, _SOFT)
 
 
-def _number_lines(estimate: FrameEstimate) -> list[tuple[str, str]]:
-    """Name and value of what the frame has."""
-    names = {"k_s": "stiffness k_s", "k_d": "damping k_d", "|F|": "force |F|"}
-    touch, press = estimate.touch, estimate.estimate
-    known = numbers(estimate.verdict, {} if press is None else values_of(press.numbers))
-    found = [(names.get(symbol, symbol), value) for symbol, value in known]
-    for name, digits, value in (
-        ("displacement, simulated", ".2g", touch.simulated_displacement),
-        ("displacement, observed", ".2g", touch.observed_displacement),
-        ("contact, probability", ".2f", touch.contact_probability),
-    ):
-        found += [] if value is None else [(name, format(value, digits))]
-    return found
-
-
-def _notes(estimate: FrameEstimate) -> list[str]:
-    """Small print under the numbers: what they can't say, why there are none, and their unit."""
-    notes = [ALARMS[estimate.alarm][0]] if estimate.alarm else []
-    notes += [NOTES[estimate.verdict].text] if estimate.verdict else []
-    notes += [estimate.detail] if estimate.detail else []
-    if estimate.field is not None and estimate.field.verdict != "undetermined":
-        notes.append(f"Stiffness against stretch: red {RANGE:g} times the median, blue a {RANGE:g}th, relative units.")
-    if estimate.estimate is None:
-        return notes
-    unsure = estimate.verdict != "determined" and estimate.estimate.covariance is not None
-    return [*notes, f"{'Ranges are 90 % intervals. ' if unsure else ''}Unit: {UNITS['stiffness']}."]
+def _second_line(estimate: FrameEstimate) -> str:
+    """Numbers of the frame with their units, else why there are none."""
+    press, field = estimate.estimate, estimate.field
+    if field is not None and field.verdict != "undetermined":
+        return f"Stiffness against stretch, relative: red {RANGE:g} times the median, blue a {RANGE:g}th."
+    shown = [] if press is None else numbers(estimate.verdict, values_of(press.numbers))
+    if shown := [each for each in shown if "±" in each[1]] or shown:
+        return "   ".join([*map(" ".join, shown), "(f, u: scene units)"])
+    return estimate.detail or NOTES[state(estimate)].text
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:

@@ -65,7 +65,7 @@ class Batch:
         self.store = store.ResultStore(options.output)
 
     def process(self, path: Path, progress: Progress, place: str) -> Outcome:
-        """Estimate a clip and write its results; arguments as of `attempt`."""
+        """Estimate a clip and write its results; arguments as in `attempt`."""
         kind: Any = SequenceClip if is_sequence(path) else VideoClip
         clip = kind(path, self)
         folder = self.folders.get(path) or self.store.folder(clip.name, path)
@@ -163,9 +163,9 @@ def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, O
     options, path, folder = task
     batch = _opened(options)
     batch.folders = {} if folder is None else {path: folder}
-    with batch.console.capture() as said:
+    with batch.console.capture() as printed:
         outcome = batch.attempt(path, progress_bars(batch.console, disable=True), "")
-    return path, outcome, said.get().splitlines()
+    return path, outcome, printed.get().splitlines()
 
 
 @functools.cache

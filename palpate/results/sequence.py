@@ -70,8 +70,8 @@ class SequenceClip:
         chosen = filled(Preparation, vars(batch.options))
         for field in dataclasses.fields(chosen):
             if getattr(chosen, field.name) not in (None, field.default) and field.name not in ("threads", "device"):
-                said = f"is for videos, and {printable(path)} is a sequence; leave it out"
-                raise ValueError(f"{flag_of(field.name)} {said}.")
+                row = f"is for videos, and {printable(path)} is a sequence; leave it out"
+                raise ValueError(f"{flag_of(field.name)} {row}.")
         self.name, self._sequence, self._settings = name_of(path), open_sequence(path), estimator.settings
         require_fit(self._sequence)
         self.causes = causes_of(self._sequence, estimator.described)
@@ -97,8 +97,8 @@ class SequenceClip:
             partial = store.partial_folder(folder)
             for frame, field in tissue.fields():
                 number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
-                said = {"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict}
-                rows.append(said | _numbers(field))
+                first = {"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict}
+                rows.append(first | _numbers(field))
                 cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
                 inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
                 Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
@@ -138,7 +138,7 @@ def _numbers(field: ParticleField) -> dict[str, Any]:
 
 
 def _values(field: ParticleField) -> dict[str, Any]:
-    """Of every particle: both stiffnesses with the ends of their intervals where they are known."""
+    """Return both stiffnesses with the ends of their intervals where they are known."""
     found: dict[str, Any] = {}
     for column, fitted in field.maps.items():
         name = column.removeprefix("distance_")

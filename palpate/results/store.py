@@ -19,7 +19,7 @@ from palpate.common.output import ForeignFile, is_unchanged
 
 TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FIELDS = "interactions.csv", "fit.png", "fields.npz"
-CALIBRATED, REPORT = "calibrated.csv", "forces.json"
+CALIBRATED, REPORT, RESULTS = "calibrated.csv", "forces.json", "results.json"
 """Files of a clip's folder. The record is written last: with it a folder is complete."""
 PAGES = "index.html", "page.html"
 """Page of a batch in its folder, and of a clip in that clip's; listed as this program's by `palpate.common.output`."""

@@ -81,9 +81,9 @@ class VideoClip:
             if diameter is not None and length.metres is not None:
                 raise ValueError(f"--shaft-diameter has no effect where {length.by} tells metres; leave it out.")
             ruler = None if diameter is None else ShaftRuler(diameter / 1000, clip)
-            told = ruler.metres if ruler else lambda: length.metres and (length.metres, length.log_sd)
+            length_now = ruler.metres if ruler else lambda: length.metres and (length.metres, length.log_sd)
             force = None if newtons is None else newtons.calibration.measured
-            session = self._estimator.start(replace(ClipInfo.of(clip), force=force, metres=told))
+            session = self._estimator.start(replace(ClipInfo.of(clip), force=force, metres=length_now))
             stream = iter(clip) if options.threads == 1 else clip.overlapped()
             stream = ruler.watched(stream) if ruler else stream
             for item, frame in estimates_with_frames(session, stream):

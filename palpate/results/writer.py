@@ -53,9 +53,9 @@ class ClipResults:
         self.folder, self.source, self.size, self.fps = folder, source, source.size, source.fps
         self.calibration, self.alarm, self._known = calibration, alarm, seconds
         self.length = ClipLength(math.nan)
-        """Of a scene unit, once it is known."""
+        """Length of a scene unit, once it is known."""
         self.estimates: list[FrameEstimate] = []
-        """Of all frames so far, without their fields: memory must not grow with the clip."""
+        """Estimates of all frames so far, without their fields: memory must not grow with the clip."""
         self.contacts: list[ContactForce] = []
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""

@@ -77,7 +77,7 @@ class Equilibrium:
     iterations: int
     """Newton steps that it took, over all load steps."""
     near: LinearSystem | None = None
-    """Of a state close by, whose factors help."""
+    """Solution close by, whose factors help."""
 
     @property
     def material(self) -> Material:
@@ -86,7 +86,7 @@ class Equilibrium:
 
     @cached_property
     def response(self) -> Response:
-        """Of the material at every quadrature point, with its tangent."""
+        """Response of the material at every quadrature point, with its tangent."""
         return self.energy.response(self.displacement, tangent=True)
 
     @cached_property
@@ -259,7 +259,7 @@ def _downhill(right: np.ndarray, solver: LinearSystem, accuracy: float) -> tuple
     Args:
         right: forces out of balance, shape [U].
         solver: of the matrix of the free components.
-        accuracy: as of `LinearSystem.solve`.
+        accuracy: as in `LinearSystem.solve`.
 
     Raises:
         NoEquilibrium: the matrix is singular.

@@ -15,7 +15,7 @@ class LinearSystem:
 
     Args:
         matrix: of the system.
-        near: a system much like it, as of the Newton step or the frame before: factors that it has, or was given,
+        near: a system much like it, as in the Newton step or the frame before: factors that it has, or was given,
             precondition this one.
     """
 
@@ -56,7 +56,7 @@ class LinearSystem:
 
     @cached_property
     def factors(self) -> SuperLU:
-        """Of the matrix, without pivoting: its order is chosen for a symmetric pattern."""
+        """Factors of the matrix, without pivoting: its order is chosen for a symmetric pattern."""
         return splu(self.matrix.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     @cached_property

@@ -25,7 +25,7 @@ Floor = tuple[int, float] | None
 Longest = Callable[[np.ndarray], np.ndarray]
 """How long edges may be at most around places [P, 3], shape [P], positive [m]."""
 GROWTH = 0.5
-"""Of edges' length by the distance from what they crowd around."""
+"""Growth of edges' length by the distance from what they crowd around."""
 
 
 def around(places: np.ndarray, radius: float, edge: float) -> Longest:

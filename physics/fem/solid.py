@@ -25,13 +25,13 @@ class Solid:
     elements: np.ndarray
     """Node indices, corners first, shape [E, n]."""
     gradients: np.ndarray
-    """Of the shape functions by place at rest, shape [E, Q, n, 3] [1/m]."""
+    """Gradients of the shape functions by place at rest, shape [E, Q, n, 3] [1/m]."""
     weights: np.ndarray
     """Volume at rest of each quadrature point, shape [E, Q] [m³]."""
 
     @property
     def volumes(self) -> np.ndarray:
-        """Of the elements at rest, shape [E] [m³]."""
+        """Volumes of the elements at rest, shape [E] [m³]."""
         return self.weights.sum(axis=1)
 
     @cached_property
@@ -57,7 +57,7 @@ class Solid:
         return self.gather(self.element_forces(stress))
 
     def element_forces(self, stress: np.ndarray) -> np.ndarray:
-        """The same before the elements are added up, shape [E, n, 3]."""
+        """Return the elastic forces before the elements are added up, shape [E, n, 3]."""
         weighted = self.weights[..., None, None] * stress
         return np.matmul(self.gradients, weighted.transpose(0, 1, 3, 2)).sum(axis=1)
 

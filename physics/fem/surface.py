@@ -19,10 +19,10 @@ def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     import trimesh  # takes a second
 
     corners = triangles.reshape(-1, 3, 3)
-    seen = np.broadcast_to(points, (*triangles.shape[:-2], 3)).reshape(-1, 3)
+    spread = np.broadcast_to(points, (*triangles.shape[:-2], 3)).reshape(-1, 3)
     sizes = np.ptp(corners, axis=1).max(axis=1)[:, None]  # to trimesh 1e-14 is nothing, whatever the unit
     corners = corners / sizes[..., None]
-    places = trimesh.triangles.closest_point(corners, seen / sizes)
+    places = trimesh.triangles.closest_point(corners, spread / sizes)
     return trimesh.triangles.points_to_barycentric(corners, places, method="cross").reshape(triangles.shape[:-1])
 
 
@@ -38,7 +38,7 @@ def rows_needed(triangles: np.ndarray, spacing: float) -> int:
 
 
 def areas(triangles: np.ndarray) -> np.ndarray:
-    """Of triangles [F, 3, 3], shape [F]."""
+    """Return the areas of triangles [F, 3, 3], shape [F]."""
     return np.linalg.norm(crosses(triangles), axis=1) / 2
 
 

@@ -118,7 +118,7 @@ def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray
 
 
 def _on_grid(case: Case, press: Press, sensitive: bool) -> tuple[np.ndarray, np.ndarray] | None:
-    """The same, compiled; None where the mesh is no grid.
+    """Return the rollout, compiled; None where the mesh is no grid.
 
     With ``window_error`` set, a window of the exact cone is computed and compared with a smaller one's trajectory;
     where the two differ by more than the error allowed, the exact cone is computed instead.

@@ -193,7 +193,7 @@ def _put_corners(out, first, by_b, by_c, by_d):
 
 @inlined
 def _swelled_bent(first, sides, along, out):
-    """As `bent` of a volume, by its sides."""
+    """Return the energy as `bent` of a volume, by its sides."""
     b, c, d = sides
     db, dc, dd = less(along, first + 1, first), less(along, first + 2, first), less(along, first + 3, first)
     bent_b = scaled(plus(_cross(dc, d), 1.0, _cross(c, dd)), 1 / 6)
@@ -242,7 +242,7 @@ def bent(layout, index, quaternion, left, slope, value, along, out):
     """Change of the gradient of a volume or a shape by each member, [M, 3], where members move by `along` [M, 3].
 
     Args:
-        layout, index: as of `met`.
+        layout, index: as in `met`.
         quaternion: of the shape's rotation R.
         left: what `met` gave: sides of a volume, Rᵀ A of a shape.
         slope: its gradient by each member, [M, 3].

@@ -15,11 +15,11 @@ class Stiffness(NamedTuple):
     """
 
     distance: np.ndarray
-    """Of distances, shape [B, N] or [N] [N/m]."""
+    """Stiffness of distances, shape [B, N] or [N] [N/m]."""
     shape: np.ndarray
-    """Of shapes, likewise [N/m]."""
+    """Stiffness of shapes, likewise [N/m]."""
     volume: float | np.ndarray = 1e10
-    """Of volumes, one for all, or of a derivative shape [B] [N/m⁵]."""
+    """Stiffness of volumes, one for all, or of a derivative shape [B] [N/m⁵]."""
 
     @property
     def total(self) -> np.ndarray:

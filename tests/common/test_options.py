@@ -1,5 +1,6 @@
 """Options of a program that are the fields of a dataclass."""
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -137,13 +138,20 @@ def test_a_file_gives_what_the_command_line_does_not(tmp_path: Path, capsys: pyt
     for text, said in (
         ("side: 10", "argument --side: '10' is not a number"),
         ("sides: 1", "there is no option --sides; did you mean --side?"),
+        ("shape: oval", "there is no shape oval; choose round, square."),
         ("[1", "can't be read as YAML"),
         ("3", "holds no options"),
     ):
         (tmp_path / "run.yaml").write_text(f"{text}")
+        shape = [] if text.startswith("shape") else ["--shape", "square"]
         with pytest.raises(SystemExit, match=r"^2$"):
-            chosen("a", "--output", "x", "--shape", "square", "--config", str(tmp_path / "run.yaml"))
-        assert said in capsys.readouterr().err
+            chosen("a", "--output", "x", *shape, "--config", str(tmp_path / "run.yaml"))
+        shown = capsys.readouterr().err
+        assert re.search(rf"run\.yaml:? {re.escape(said)}", shown)
+    (tmp_path / "run.yaml").write_text("side: 1")
+    with pytest.raises(SystemExit, match=r"^2$"):
+        chosen("a", "--output", "x", "--side", "10", "--config", str(tmp_path / "run.yaml"))
+    assert "run.yaml" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

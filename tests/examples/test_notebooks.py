@@ -20,6 +20,16 @@ def run(path: Path) -> dict[str, Any]:
     return names
 
 
+@pytest.mark.parametrize("path", sorted((CHECKOUT / "examples").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebooks_are_committed_with_what_they_print_and_draw(path: Path) -> None:
+    cells = [cell for cell in json.loads(path.read_text("utf-8"))["cells"] if cell["cell_type"] == "code"]
+    outputs = [output for cell in cells for output in cell["outputs"]]
+    assert all(cell["execution_count"] for cell in cells)
+    assert any("image/png" in output.get("data", ()) for output in outputs)
+    assert any(output["output_type"] == "stream" for output in outputs)
+    assert not any(output["output_type"] == "error" for output in outputs)
+
+
 @pytest.mark.acceptance
 def test_press_pull_and_simulator(monkeypatch, tmp_path, capsys) -> None:
     mpl.use("Agg")

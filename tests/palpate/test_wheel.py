@@ -39,6 +39,7 @@ def test_only_palpate_stands_in_site_packages(installed: Path) -> None:
     names = {path.name.split("-")[0] for path in site.iterdir()} - {"libraries.pth", "__pycache__"}
     assert names == {"palpate", "bin"}
     assert {path.name for path in (site / "palpate").iterdir() if path.is_dir()} >= {*FOLDERS, "cli"}
+    assert (site / "palpate" / "results" / "results.schema.json").is_file()
 
 
 def test_it_works_in_a_folder_with_packages_of_the_same_names(installed: Path, tmp_path: Path) -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from palpate.estimators.records import FrameEstimate, Touch
-from palpate.estimators.result import UNITS
 from palpate.results import overlay
-from palpate.results.overlay import canvas_size, draw_overlay, text_width, wrap_text
+from palpate.results.overlay import canvas_size, draw_overlay, panel_corner, text_width, wrap_text
 from palpate.results.verdicts import NOTES
 from tests.estimators.estimates import frame_in_contact
 
@@ -71,15 +70,24 @@ def test_unreadable_frame_is_black_with_its_status() -> None:
     assert picture[:60, :200].max() > 200
 
 
-def test_panel_shows_numbers_only_where_there_are_some() -> None:
-    names = [name for name, _ in overlay._number_lines(OK)]
-    assert names == ["stiffness k_s", "damping k_d", "force |F|"]
-    assert overlay._number_lines(FrameEstimate(1, 0.0, "no_tool")) == []
-    lines = overlay._number_lines(
-        frame_in_contact("determined", THETA, (1.04, 1.04, 1.04), touch=Touch(observed_displacement=0.02))
-    )
-    numbers = [("stiffness k_s", "0.5 ± 0.02"), ("damping k_d", "0.1 ± 0.0039"), ("force |F|", "2 ± 0.078")]
-    assert lines == [*numbers, ("displacement, observed", "0.02")]
+def test_the_second_line_has_numbers_with_units_or_why_there_are_none() -> None:
+    line = overlay._second_line(frame_in_contact("determined", THETA, (1.04, 1.04, 1.04)))
+    numbers = "k_s 0.500 ± 0.020 f/u   k_d 0.1000 ± 0.0039 f·s/u   |F| 2.000 ± 0.078 f"
+    assert line == f"{numbers}   (f, u: scene units)"
+    assert overlay._second_line(OK).startswith("k_s — f/u")
+    assert overlay._second_line(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels.")) == "0 tool pixels."
+    assert overlay._second_line(FrameEstimate(1, 0.0, "no_tool")) == NOTES["no_tool"].text
+
+
+def test_the_panel_lies_far_from_instruments_and_does_not_jump() -> None:
+    seen = np.zeros((120, 200), np.uint8)
+    assert panel_corner(None, (1, 1)) == panel_corner(seen, (1, 1)) == (1, 1)
+    seen[:40, :30] = overlay.TOOL
+    assert panel_corner(seen) == (1, 1)
+    assert panel_corner(seen[::-1], (1, 1)) == (0, 1)
+    seen[50:70, 80:120] = overlay.TOOL
+    seen[:40, :30] = 0
+    assert [panel_corner(seen, before) for before in overlay.CORNERS] == overlay.CORNERS
 
 
 @pytest.mark.parametrize("verdict", ["determined", "ratios", "undetermined", "onset_in_view"])
@@ -90,39 +98,23 @@ def test_the_dot_has_the_colour_of_the_verdict(verdict: str) -> None:
     assert ("determined" in found) == (verdict == "determined")
 
 
-def test_notes_say_what_the_numbers_cannot() -> None:
-    estimate = frame_in_contact(
-        "undetermined",
-        THETA,
-        (2, 2, 2),
-        detail="Because.",
-        touch=Touch(simulated_displacement=0.05, observed_displacement=0.02),
-    )
-    assert overlay._notes(estimate) == [
-        "Not determined by what was observed so far.",
-        "Because.",
-        f"Ranges are 90 % intervals. Unit: {UNITS['stiffness']}.",
-    ]
-    assert overlay._notes(frame_in_contact("determined", THETA, (1.1, 1.1, 1.1))) == [
-        "Stiffness, damping and force are determined; ± is the 90 % interval.",
-        f"Unit: {UNITS['stiffness']}.",
-    ]
-    assert overlay._notes(FrameEstimate(1, 0.0, "no_tool", "0 tool pixels.")) == ["0 tool pixels."]
-
-
-@pytest.mark.parametrize(("alarm", "said"), [("below", "below."), ("above", "ABOVE."), ("unknown", "unknown, neither")])
-def test_the_alarm_is_said_and_all_but_safety_has_an_edge(alarm: str, said: str) -> None:
+@pytest.mark.parametrize("alarm", ["below", "above", "unknown"])
+def test_the_alarm_is_shown_and_all_but_safety_has_an_edge(alarm: str) -> None:
     plain, warned = (draw_overlay(grey(), SIZE, None, dataclasses.replace(OK, alarm=state)) for state in ("", alarm))
     edges = {"below": plain[180, 639], "above": (220, 38, 38), "unknown": (250, 204, 21)}
     assert tuple(warned[180, 639]) == tuple(edges[alarm])
-    assert overlay._notes(dataclasses.replace(OK, alarm=alarm))[0].startswith(f"Force limit: {said}")
+    assert (plain[:60, :400] != warned[:60, :400]).any()
 
 
-def test_a_long_remark_makes_the_panel_longer() -> None:
-    detail = "The tissue is pressed at 74° to the line of sight, so its dent may hide its own bottom."
-    plain, remarked = (draw_overlay(grey(), SIZE, None, FrameEstimate(7, 0.28, "no_tool", why)) for why in ("", detail))
-    rows = np.flatnonzero((plain != remarked).any(axis=(1, 2)))
-    assert np.ptp(rows) > 3 * 10  # more than three lines of 10 px
+@pytest.mark.parametrize("size", [(640, 360), (480, 640), (240, 135)])
+def test_a_long_remark_is_cut_at_the_panel_s_end(size: tuple[int, int]) -> None:
+    detail = "The tissue is pressed at 74° to the line of sight, so its dent may hide its own bottom. " * 3
+    plain, remarked = (
+        draw_overlay(grey(size), size, None, FrameEstimate(7, 0.28, "no_tool", text)) for text in ("No.", detail)
+    )
+    rows, columns = np.nonzero((plain != remarked).any(axis=2))
+    assert np.ptp(rows) < 3 * 21
+    assert columns.max() < plain.shape[1] - 4
 
 
 @pytest.mark.parametrize("size", [(640, 360), (480, 640), (240, 135)])

@@ -54,7 +54,8 @@ def test_long_and_odd_names_are_written_whole_and_inside(tmp_path: Path) -> None
 
 def test_a_fit_shows_verdict_numbers_observation_simulation_and_release() -> None:
     (axes,) = fits(GOOD)
-    assert heading(axes) == "determined: contact from frame 7, k_s 0.5 ± 0.083, k_d 0.06 ± 0.02, |F| 0.1 ± 0.0082"
+    numbers = "k_s 0.500 ± 0.083 f/u, k_d 0.060 ± 0.020 f·s/u, |F| 0.1000 ± 0.0082 f"
+    assert heading(axes) == f"stiffness, damping and force known: contact from frame 7, {numbers}"
     assert to_rgb(axes.texts[0].get_color()) == pytest.approx(np.divide(NOTES["determined"].color, 255))
     np.testing.assert_allclose(observed(axes), (CONTACT.observation.times, np.zeros(8)))
     np.testing.assert_allclose(curve(axes, "simulated with the fit"), ([0.0, 0.32], [0.0, 0.02]))
@@ -62,7 +63,7 @@ def test_a_fit_shows_verdict_numbers_observation_simulation_and_release() -> Non
     (bars,) = axes.collections
     np.testing.assert_allclose([bar[:, 1] for bar in bars.get_segments()], [[-0.001 * NINETY, 0.001 * NINETY]] * 8)
     (doubted,) = fits(dataclasses.replace(GOOD, detail="It does not fit."))
-    assert heading(doubted).endswith("k_s 0.42 to 0.59, k_d 0.043 to 0.083, |F| 0.092 to 0.11")
+    assert heading(doubted).endswith("k_s 0.42 to 0.59 f/u, k_d 0.043 to 0.083 f·s/u, |F| 0.092 to 0.11 f")
     assert doubted.get_title("left").startswith("It does not fit.")
 
 
@@ -77,9 +78,9 @@ def test_motion_is_drawn_along_the_force() -> None:
 
 def test_pulls_show_their_force_and_fields_their_motion() -> None:
     grip, field = fits(dataclasses.replace(NONE, grip=GRIP), dataclasses.replace(NONE, field=PULL, detail="Told."))
-    assert heading(grip) == "relative force: contact from frame 1"
+    assert heading(grip) == "only the change of force known: contact from frame 1"
     np.testing.assert_allclose(curve(grip, "force along that of the last frame"), (GRIP.times, GRIP.times / 3))
-    assert heading(field) == "stiffness ratios: contact from frame 1"
+    assert heading(field) == "only stiffer places known: contact from frame 1"
     assert field.get_title("left") == "Told."
     np.testing.assert_allclose(curve(field, "observed"), (TIMES, [0, 2, 5]))
     np.testing.assert_allclose(curve(field, "simulated"), (TIMES, [0, 1.5, 4.2]))
@@ -93,7 +94,7 @@ def test_contacts_without_estimate_say_why_and_those_not_drawn_are_counted() -> 
     assert not second.axison
     assert heading(second) == "no estimate: contact from frame 1"
     assert second.get_title("left").replace("\n", " ") == reason.strip()
-    assert figure.get_supxlabel().startswith("Contacts: 2, with an estimate: 1. Research")
+    assert figure.get_supxlabel().startswith("Contacts: 2, with an estimate: 1. u and f: ")
     counts = Counter(determined=1, no_estimate=MOST_PANELS)
     figure = draw_fits([GOOD] + [NONE] * (MOST_PANELS - 1), counts, "clip")
     assert f" {MOST_PANELS} are drawn, interactions.csv has all." in figure.get_supxlabel()

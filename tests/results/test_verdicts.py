@@ -3,7 +3,7 @@
 import pytest
 
 from palpate.estimators.records import FrameEstimate
-from palpate.results.verdicts import NOTES, digits, numbers, state
+from palpate.results.verdicts import NOTES, digits, numbers, rounded, state
 
 VALUES = {
     **dict.fromkeys(("stiffness_sd", "damping_sd", "force_sd"), 0.0123),
@@ -32,18 +32,25 @@ def test_the_verdict_goes_before_the_status() -> None:
 @pytest.mark.parametrize(
     ("verdict", "values", "expected"),
     [
-        ("determined", VALUES, ["0.512 ± 0.32", "0.0512 ± 0.18", "0.102 ± 0.012"]),
+        ("determined", VALUES, ["0.51 ± 0.32", "0.05 ± 0.18", "0.102 ± 0.012"]),
         ("undetermined", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
         ("doubtful", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
-        ("ratios", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12", "0.1 ± 0.01", "0.2 ± 0.03"]),
+        ("ratios", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12", "0.100 ± 0.012", "0.200 ± 0.035"]),
         ("undetermined", NO_INTERVAL, ["—", "—", "—"]),
         ("onset_in_view", NO_INTERVAL, ["≈ 0.51", "≈ 0.051", "≈ 0.1"]),
     ],
 )
 def test_no_number_is_surer_than_its_verdict(verdict: str, values: dict[str, float], expected: list[str]) -> None:
     told = numbers(verdict, values)
-    assert [name for name, _ in told] == ["k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s"][: len(expected)]
-    assert [text for _, text in told] == expected
+    assert [name for name, *_ in told] == ["k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s"][: len(expected)]
+    assert [unit for *_, unit in told] == ["f/u", "f·s/u", "f", "s", "u"][: len(expected)]
+    assert [text for _, text, _ in told] == expected
+
+
+def test_physical_units_are_those_of_the_table_and_numbers_end_at_their_uncertainty() -> None:
+    known = {"force": 348.2, "force_low": 320.0, "force_high": 380.0, "force_unit": "N, by forces.csv"}
+    assert numbers("determined", known) == [("|F|", "348 ± 30", "N")]
+    assert (rounded(1234.5, 0.0), rounded(0.00123, 0.000456)) == ("1234.500 ± 0.000", "0.00123 ± 0.00046")
 
 
 @pytest.mark.parametrize(("value", "expected"), [(0.000456, "0.00046"), (348.2, "350"), (1.0, "1"), (0.0, "0")])

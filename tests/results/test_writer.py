@@ -30,7 +30,7 @@ SEEN = Frame(0, 5, 0.2, np.full((SIZE[1], SIZE[0], 3), 80, np.uint8))
 FRAME = PreparedFrame(SEEN, "ok", "", np.ones((12, 16), np.float32), np.zeros((12, 16), np.uint8))
 ESTIMATE = frame_in_contact("undetermined", (0.25, 0.125, -2.0), contact=True)
 NONE_SEEN = FrameEstimate(8, 0.32, "no_tool")
-NAMES = ["fit.png", "forces.json", "interactions.csv", "overlay.mp4", "parameters.csv", "run.json"]
+NAMES = ["fit.png", "forces.json", "interactions.csv", "overlay.mp4", "parameters.csv", "results.json", "run.json"]
 
 
 def write_clip(folder: Path, fingerprint: str = "abc", *, overlay: bool = True) -> None:

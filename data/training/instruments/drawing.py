@@ -61,7 +61,7 @@ class Canvas:
     """Number of the instrument of each pixel, uint8 [H, W]; 0 = background."""
     rng: np.random.Generator
     number: int = 1
-    """Of the instrument that is drawn."""
+    """Number of the instrument that is drawn."""
     light: float = 1.0
     """Brightness of the lamp on the instrument."""
 
@@ -189,7 +189,7 @@ def _hook(canvas: Canvas, neck: np.ndarray, tip: np.ndarray, width: float, metal
 
 
 def _stump(canvas: Canvas, neck: np.ndarray, tip: np.ndarray, width: float, metal: Material, end: str) -> None:
-    """Blunt end, as of a suction tube with its holes, a trocar or a stapler."""
+    """Blunt end, as in a suction tube with its holes, a trocar or a stapler."""
     rng = canvas.rng
     canvas.part(neck, tip, (width, width * rng.uniform(0.7, 1.05)), metal)
     axis = (tip - neck) / max(float(np.hypot(*(tip - neck))), 1e-6)

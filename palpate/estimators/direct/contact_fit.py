@@ -63,7 +63,7 @@ def concluded(
     trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
     # The model does not explain what lies farther from its best fit than this many σ.
     found = PressResult(
-        **told(problem, mean, best, box, mean),
+        **press_fields(problem, mean, best, box, mean),
         covariance=spread[:3, :3],
         information=information[:3, :3],
         expected_information=trusted,
@@ -77,7 +77,7 @@ def concluded(
     return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
 
 
-def told(
+def press_fields(
     problem: JointLikelihood, mean: np.ndarray, best: Optimum, box: np.ndarray, logs: np.ndarray
 ) -> dict[str, Any]:
     """Return fields of `PressResult` that every fit has: θ, and how and when the instrument pressed.
@@ -99,7 +99,7 @@ def told(
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
-    """Of several draws' information, each [3, 3], one than which a share TRUST of them is at least as telling.
+    """Return the one of several draws' information [3, 3] that a share TRUST of them equals or exceeds.
 
     How much a motion tells depends on θ itself. A verdict at the mean alone would be as uncertain as that.
     """
@@ -140,7 +140,7 @@ def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
 
 
 def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
-    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as of `field_optima`."""
+    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as in `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
@@ -162,7 +162,7 @@ def fit_press(
     chance (Schwarz 1978).
 
     Args:
-        contact, mechanics, within, noise: as of `JointLikelihood`.
+        contact, mechanics, within, noise: as in `JointLikelihood`.
         tissue: the box of φ, shape [2, 3].
         tries: how often the contact may be moved to the vertex at which the dent seems to lie.
     """
@@ -239,26 +239,26 @@ def field_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
 
 
 def raced(problem: JointLikelihood, starts: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Of starts [S, D] those that lead farthest, and where to: at most FITS, by successive halving.
+    """Refine starts [S, D] and keep the best, FITS at most, by successive halving.
 
     Every round (Jamieson & Talwalkar 2016) decides for every start anew what the pixels show, and leaves the better
     half.
 
     Args:
         problem: of coarse time steps.
-        starts: as of `field_starts`; FITS of them or fewer stay as they are.
+        starts: as in `field_starts`; FITS of them or fewer stay as they are.
         box: of all parameters, shape [2, D].
     """
     while len(starts) > FITS:
-        led = []
+        best = []
         for logs in starts:
             problem.look(logs)
             # Evaluations of a start in a round, after which it is decided anew what the pixels show.
             found = find_optimum(problem, logs, box, 4)
             # What comes out of sight must not seem explained.
-            led.append((found.cost - 0.5 * problem.first.seen.sum(), found.logs))
-        led.sort(key=lambda pair: pair[0])
-        starts = np.array([logs for _, logs in led[: len(led) // 2]])
+            best.append((found.cost - 0.5 * problem.first.seen.sum(), found.logs))
+        best.sort(key=lambda pair: pair[0])
+        starts = np.array([logs for _, logs in best[: len(best) // 2]])
     return starts
 
 

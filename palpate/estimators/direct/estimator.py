@@ -86,7 +86,7 @@ class DirectEstimator(Estimator):
     ) -> None:
         self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
         self.log_box = bounds.log_box
-        """Of φ, shape [2, 3]."""
+        """Bounds of φ, shape [2, 3]."""
 
     @property
     def described(self) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class DirectSession(RunSession):
         return True
 
     def fit(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray]]:
-        """Fit θ to one contact; gives the estimate and the simulated motion, as of `simulated_motion`.
+        """Fit θ to one contact; gives the estimate and the simulated motion, as in `simulated_motion`.
 
         Where the beginning of the press isn't known its delay is fitted as well, and the information is what there
         would be if it were known. Where the contact is pressed aslant to the line of sight its uncertainty is widened

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.contact_fit import fit_press, told
+from palpate.estimators.direct.contact_fit import fit_press, press_fields
 from palpate.estimators.direct.motion import Kind, PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import chosen_starts, combine, distinct, find_optimum
@@ -29,7 +29,7 @@ def fit_together(
     Args:
         contact: with records of these names.
         names: of `observations.kinds`.
-        mechanics, within, noise, tissue: as of `fit_press`.
+        mechanics, within, noise, tissue: as in `fit_press`.
 
     Raises:
         NoEstimate: nothing was recorded of one of them.
@@ -54,7 +54,7 @@ def fit_together(
     problem.look(best.logs)
     misfit = problem.misfit(best.logs)
     return PressResult(
-        **told(problem, mean, best, box, best.logs),
+        **press_fields(problem, mean, best, box, best.logs),
         covariance=max(1.0, misfit) ** 2 * covariance[:3, :3],
         information=about_tissue(best.information, prior),
         noise=contact.noise,

@@ -23,7 +23,7 @@ FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
 FINER = 4
 """Parts into which a step is divided to see its error."""
 _OTHERS = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 1.0, 1.0], [3.0, 3.0, 3.0, 2.0]])
-"""Of four nodes in a row, the three others of each one."""
+"""Node triples: four nodes in a row, the three others of each one."""
 _SCALE = (np.arange(4.0) - _OTHERS).prod(axis=0)
 
 
@@ -43,9 +43,9 @@ class PressMotion:
     looks = 2
     """How often it is decided anew at the best fit what the pixels show."""
     parts = 1
-    """Of a picture's pixels along an axis, in which they may show other tissue."""
+    """Places of a picture's pixels along an axis, in which they may show other tissue."""
     astray, uneven = 0.0, 0.0
-    """Errors of the simulated dent, as of `DepthLikelihood`."""
+    """Errors of the simulated dent, as in `DepthLikelihood`."""
     sampled = True
     """Whether some hundred draws are enough to sample the posterior of its parameters."""
 
@@ -178,7 +178,7 @@ class PressMotion:
         return self._path(logs, mechanics, -(-self.longest // ratio), np.float32), ratio
 
     def coarser(self) -> Self:
-        """The same with the coarse time step."""
+        """Return the motion with the coarse time step."""
         return type(self)(self.contact, self.coarse_mechanics()[0], self.vertices, self.times, self.within)
 
     def coarse_mechanics(self) -> tuple[Mechanics, int]:

@@ -14,7 +14,7 @@ from palpate.estimators.direct.motion import PressMotion
 from palpate.physics.load import Press, PressShape
 
 RADII = (1.0, 8.0)
-"""Of patches [grid pixels]: at the least it is one vertex, and dents are visible as far as 7."""
+"""Radii of patches [grid pixels]: at the least it is one vertex, and dents are visible as far as 7."""
 ASTRAY = 2.5
 """Largest distance of a patch's middle from the contact vertex along an axis [grid pixels]."""
 MOST_LEAN = 0.85
@@ -43,19 +43,19 @@ class PatchMotion(PressMotion):
 
     @property
     def centred(self) -> np.ndarray:
-        """As of `PressMotion`; the patch's place and the lean among them."""
+        """Centred parameters as in `PressMotion`; the patch's place and the lean among them."""
         first = self.delays.stop
         return np.concatenate([super().centred, first + np.arange(1, 5)])
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
-        """As of `PressMotion`, with the shape's parameters behind."""
+        """Return the box, as in `PressMotion`, with the shape's parameters behind."""
         ends = [np.log(RADII), *2 * [(-ASTRAY, ASTRAY)], *2 * [(-MOST_LEAN, MOST_LEAN)], (0.0, 1.0)]
         if self.contact.released:
             ends.append((0.0, 1.0))
         return np.hstack([super().box(tissue), np.array(ends).T])
 
     def shape(self, logs: np.ndarray, longer: float = 0.0) -> PressShape:
-        """The shape of all parameters [D]; `longer` as of `load`."""
+        """The shape of all parameters [D]; `longer` as in `load`."""
         radius, row, column, right, down, *shares = logs[self.delays.stop :].tolist()
         seconds = self._seconds(logs, longer)
         rise, fall = (*shares, 0.0)[:2]
@@ -73,7 +73,7 @@ class PatchMotion(PressMotion):
         return self.loaded(logs, longer) if self.contact.released else float(self.times[-1])
 
     def load(self, logs: np.ndarray, time_step: float, steps: int, longer: float = 0.0) -> Press:
-        """As of `PressMotion`."""
+        """Return the load as `PressMotion` does."""
         contact, seconds = self.contact, self.loaded(logs, longer)
         shape = self.shape(logs, longer)
         return shape.press(contact.mesh, contact.vertex, contact.direction, seconds, time_step, steps)

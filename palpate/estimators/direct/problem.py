@@ -39,7 +39,7 @@ def dent_problem(
     Args:
         contact: with a depth-change sequence of one frame or more.
         mechanics: of the fits.
-        within: as of `PressMotion`.
+        within: as in `PressMotion`.
         noise: σ of every pixel in every frame [scene units]; None = as the depth-change sequence says.
         kind: of motion: what is fitted of the press.
     """
@@ -79,15 +79,15 @@ def suiting_forces(
 
     Args:
         paths: C motions, shape [C, ...]; what isn't a number counts for nothing.
-        observed: shape as of one motion.
+        observed: shape as in one motion.
         forces: log |F| by which the motions were simulated, shape [C].
         low, high: ends of log |F|.
 
     Returns:
         log |F|, and the sum of the squares that are left unexplained, shape [C] each.
     """
-    seen = np.isfinite(paths) & np.isfinite(observed)
-    tried, wanted = (np.where(seen, each, 0.0).reshape(len(paths), -1) for each in (paths, observed))
+    valid = np.isfinite(paths) & np.isfinite(observed)
+    tried, wanted = (np.where(valid, each, 0.0).reshape(len(paths), -1) for each in (paths, observed))
     factors = (tried * wanted).sum(axis=1) / np.maximum(np.square(tried).sum(axis=1), 1e-30)
     found = np.clip(forces + np.log(np.maximum(factors, 1e-9)), low, high)
     return found, np.square(np.exp(found - forces)[:, None] * tried - wanted).sum(axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from palpate.data.contact.interaction import Interaction
-from palpate.estimators.direct.contact_fit import told
+from palpate.estimators.direct.contact_fit import press_fields
 from palpate.estimators.direct.motion import Kind, PressMotion, about_tissue
 from palpate.estimators.direct.patch import PatchMotion
 from palpate.estimators.direct.problem import apart, combine, distinct, evenly_spread, find_optimum
@@ -45,7 +45,8 @@ CLIPPED = 0.2
 FIRMER = (-1.5, 1.5)
 """Steps of log k_s, log k_d and log |F| from which other optima are looked for: only inertia tells their scale."""
 RADIUS, RISING = 3.0, 0.05
-"""Of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s / s]."""
+"""Radius of the patch with which a press is tried [grid pixels], and how long its force rises and falls at first [s /
+s]."""
 Start = TypeVar("Start")
 Fitted = TypeVar("Fitted")
 WITHIN = 1.5
@@ -55,10 +56,10 @@ WITHIN = 1.5
 def shading_problem(
     contact: Interaction, mechanics: Mechanics, within: float, tilt: np.ndarray, kind: Kind = PressMotion
 ) -> JointLikelihood:
-    """A brightness sequence under all parameters of a press on a plane; arguments as of `dent_problem`.
+    """A brightness sequence under all parameters of a press on a plane; arguments as in `dent_problem`.
 
     Args:
-        tilt: as of `ShadingObservation`.
+        tilt: as in `ShadingObservation`.
     """
     shading = ShadingObservation(contact, tilt)
     return JointLikelihood([shading], partial(kind, shading.press, mechanics, within=within))
@@ -89,10 +90,10 @@ def fit_shading(
     some = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
     thin = contact.having(shading=sequence.chosen(some))
     problem = shading_problem(thin, mechanics, within, np.zeros(2))
-    led = _on_threads(lambda start: _led(problem.copy(), start, FEW, ROUNDS[0]), _starts(problem))
-    if not led:
+    best = _on_threads(lambda start: _led(problem.copy(), start, FEW, ROUNDS[0]), _starts(problem))
+    if not best:
         raise NoEstimate("The contact is too short to show in the light.")
-    logs = min(led, key=lambda found: found[0])[1]
+    logs = min(best, key=lambda found: found[0])[1]
     problem = shading_problem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
     logs = _led(problem, logs, MORE, ROUNDS[1])[1]
     problem = shading_problem(contact, mechanics, within, logs[-OTHERS + 2 : -OTHERS + 4])
@@ -211,7 +212,7 @@ def _concluded(problem: JointLikelihood, logs: np.ndarray) -> PressResult:
     optima = _on_threads(lambda start: find_optimum(problem.copy(), start, box, FEW, FALL), starts)
     mean, covariance, best = combine(distinct(optima), prior)
     unexplained = f"A press leaves {1 - shading.skill:.0%} of how the tissue's brightness changes"
-    known = told(problem, mean, best, box, best.logs)
+    known = press_fields(problem, mean, best, box, best.logs)
     known["course"] = dataclasses.replace(known["course"], view_angle=None)
     return PressResult(
         **known,

@@ -64,7 +64,7 @@ class SheetFit:
     squares: np.ndarray
     """Sum of squared errors around the grip, with the given background, shape [A, T] [px²]."""
     refitted: np.ndarray
-    """The same with the background fitted in every frame, shape [A, T] [px²]."""
+    """Sum of squared errors with the background fitted in every frame, shape [A, T] [px²]."""
     motion: np.ndarray
     """Sum of squared displacements around the grip less the given background, shape [T] [px²]."""
     counts: np.ndarray
@@ -121,8 +121,8 @@ def fit_sheets(
     springs, held = lattice_springs(nodes, spacing), np.zeros(len(nodes), bool)
     held[:count] = gripped
     given = np.column_stack([*moved[:, gripped], terms[gripped]])
-    seen = np.isfinite(moved).all(axis=2) & ~gripped
-    mask, around = seen[..., None], np.where(seen[..., None], moved, 0.0)
+    visible = np.isfinite(moved).all(axis=2) & ~gripped
+    mask, around = visible[..., None], np.where(visible[..., None], moved, 0.0)
     squares, refitted, force = [], [], []
     for alpha in ALPHAS:
         found = equilibrium(springs, np.ones(len(springs)), np.full(len(nodes), alpha), held, given)
@@ -130,14 +130,14 @@ def fit_sheets(
         # A foundation that moves affinely carries the sheet along, but for what the grip holds back.
         follows = terms - found.displacement[:count, -3:]
         off = around - mask * pulled
-        gram = np.einsum("tn,nk,nl->tkl", seen, follows, follows)
+        gram = np.einsum("tn,nk,nl->tkl", visible, follows, follows)
         fitted = np.linalg.solve(gram, follows.T @ off)
         for errors, affine in ((squares, background), (refitted, fitted)):
             errors.append(np.square(off - mask * (follows @ affine)).sum(axis=(1, 2)))
         reaction = found.reaction.sum(axis=0)
         force.append(reaction[:-3].reshape(frames, 2) - reaction[-3:] @ fitted)
     motion = np.square(around - mask * (terms @ background)).sum(axis=(1, 2))
-    return SheetFit(np.array(squares), np.array(refitted), motion, seen.sum(axis=1), np.array(force))
+    return SheetFit(np.array(squares), np.array(refitted), motion, visible.sum(axis=1), np.array(force))
 
 
 def continued(points: np.ndarray, spacing: int, beyond: int) -> np.ndarray:

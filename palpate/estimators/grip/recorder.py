@@ -29,7 +29,7 @@ class _Kept(NamedTuple):
     moved: np.ndarray
     """Displacement of the points, shape [N, 2] [px]; NaN where a point is lost."""
     own: np.ndarray
-    """The same less the background's motion."""
+    """Motion less the background's motion."""
 
 
 class GripRecorder:
@@ -75,14 +75,14 @@ class GripRecorder:
             problem = f"In {self._count} of {self._seen} frames the tissue moves with the instrument by more than"
             raise NoEstimate(f"{problem} {LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed.")
         times, moved, own = (np.array(values, np.float64) for values in zip(*self._kept, strict=True))
-        seen = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
-        gripped = seen & (self._follower.distance < DRIVEN)
+        visible = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
+        gripped = visible & (self._follower.distance < DRIVEN)
         if gripped.sum() < LEAST_GRIPPED:
             problem = f"{gripped.sum()} tissue points at the instrument are seen in all frames;"
             raise NoEstimate(f"{problem} {LEAST_GRIPPED} are needed.")
         terms = affine_terms(points)
         # Known at all points that are seen, and affine.
-        background = np.linalg.lstsq(terms[seen], np.hstack([*(moved - own)[:, seen]]), rcond=None)[0]
+        background = np.linalg.lstsq(terms[visible], np.hstack([*(moved - own)[:, visible]]), rcond=None)[0]
         background = np.moveaxis(background.reshape(3, -1, 2), 1, 0)
         fit = fit_sheets(points, self._follower.spacing, gripped, moved, background)
         force, spread = fit.relative_force()
@@ -92,7 +92,7 @@ class GripRecorder:
         # regions --split validation --clips 7 --seed 61001 --output OUT`.
         force_sd = np.hypot(spread, 0.32 * force_error(force, found))
         force_sd[-1] = 0.0  # the last frame's ratio is 1 by definition
-        rival = self._rival_skill(seen, int(gripped.sum()), own)
+        rival = self._rival_skill(visible, int(gripped.sum()), own)
         return PullResult(found, rival, times, force, force_sd)
 
     def _rival_skill(self, seen: np.ndarray, count: int, own: np.ndarray) -> float:

@@ -29,7 +29,7 @@ from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
 FAST_EVERY = 3
-"""Of the rate fast, as of `PrepareSettings.every`."""
+"""Interval between estimates of the rate fast, as in `PrepareSettings.every`."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."

@@ -66,7 +66,7 @@ class DepthSequences:
 
 
 class Fitted(NamedTuple):
-    """What explains one contact; other arrays as of `Fits`, without N."""
+    """What explains one contact; other arrays as in `Fits`, without N."""
 
     logs: np.ndarray
     slopes: np.ndarray
@@ -111,7 +111,7 @@ class Fits(DepthSequences):
 
 
 def point_problem(contact: Interaction, within: float = 0.0) -> JointLikelihood:
-    """The motion of a contact's point under all parameters of a press; `within` as of `PressMotion`."""
+    """The motion of a contact's point under all parameters of a press; `within` as in `PressMotion`."""
     return JointLikelihood(
         [PointObservation(contact, NOMINAL_NOISE)], functools.partial(PressMotion, contact, MECHANICS, within=within)
     )

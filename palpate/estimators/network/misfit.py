@@ -60,7 +60,7 @@ class _PointComparison:
 
 
 class _PixelComparison:
-    """The pixels around the contact that move; names as of `_PointComparison`."""
+    """The pixels around the contact that move; names as in `_PointComparison`."""
 
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
         # Most frames, evenly chosen, that are compared.
@@ -70,7 +70,8 @@ class _PixelComparison:
         )
         self.times, self.compared_times = sequence.times, self._depth.times
         self.blurs = np.zeros((0, 2))
-        """Of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest displacements."""
+        """Change of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest
+        displacements."""
         self.vertices = np.append(contact.vertex, self._depth.vertices)
         near = np.s_[REACH - PIXEL_RADIUS : REACH + PIXEL_RADIUS + 1]
         change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
@@ -189,7 +190,7 @@ def _with_delays(
     prior: np.ndarray,
 ) -> tuple[float, tuple[float, float], bool]:
     """Root mean square of the residual [σ] with the delays that fit best near some start, these delays [s], and whether
-    the dent is blurred, as of `compared`.
+    the dent is blurred, as in `compared`.
 
     Args:
         lasting: displacements under a press that lasts, and their derivatives by φ, shape [T, M, 3, 4].

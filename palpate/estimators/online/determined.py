@@ -49,7 +49,7 @@ edges of 8.9 mm. It goes with the inverse of their fourth power, since a volume'
 
 
 def uniform(body: Body, distance: float, shape: float) -> Stiffness:
-    """The same everywhere; of volumes as the paper's, in whatever unit."""
+    """Return one stiffness everywhere; of volumes as the paper's, in whatever unit."""
     return Stiffness(np.full(body.count, distance), np.full(body.count, shape), VOLUME / body.edge**4)
 
 
@@ -95,7 +95,7 @@ class Fitting:
         """Over the motion, of every frame in which points move, by what is given and by all combinations."""
 
     def step(self, places: np.ndarray, seen: np.ndarray) -> None:
-        """Lead all on, and compare them with a frame; arguments as of `Determined.step`."""
+        """Lead all on, and compare them with a frame; arguments as in `Determined.step`."""
 
         def stepped(group: tuple[Objective, Stiffness], states: np.ndarray) -> np.ndarray:
             return group[0].stepped(group[1], states, places[None]).positions[:, -1]
@@ -125,9 +125,10 @@ class Fitting:
 
 
 STEPPED = "time_step", "foundation"
-"""Of `Stepping`: what is known of them no better than of a knot, too, since first frames tell them in large steps."""
+"""Uncertain parameters of `Stepping`: what is known of them no better than of a knot, too, since first frames tell them
+in large steps."""
 CHANGE = 0.01
-"""Of log stiffness, for finite differences."""
+"""Change of log stiffness, for finite differences."""
 
 
 class Determined:
@@ -157,16 +158,16 @@ class Determined:
         self._shared = np.zeros_like(self._squares)
         self._points = np.zeros(stretch.shape[1])
         self._axes = 2
-        """Of every cell, over frames: squares and products, summed over its points, of what is observed less what the
-        fields to begin with would show, then of its derivatives; the same of their means over points, times their
-        number; and that."""
+        """Axes of the picture. Before it, for every cell over frames: squares and products, summed over its
+        points, of what is observed less what the first fields would show, then of its derivatives; the same of
+        their means over points, times their number; and that number."""
         self._frames = 0
         self._motion = self._left = 0.0
         self.moved = self.predicted = np.zeros((len(self._cell), 2))
         """Displacement of the points in the last frame that shows some, and by the instrument alone, [Q, 2] [px]."""
         self.course = [(0.0, 0.0, 0.0)]
-        """Of every frame, rest first, how far points have moved, by the instrument alone, and the difference of both,
-        root mean squares [px]; not a number where none is seen."""
+        """Course of every frame, rest first, how far points have moved, by the instrument alone, and the difference of
+        both, root mean squares [px]; not a number where none is seen."""
 
     @property
     def skill(self) -> float:

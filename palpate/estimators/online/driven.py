@@ -79,7 +79,7 @@ class DrivenTissue:
         objective = Objective(body, self.surface.gripped, *how)
         begun = uniform(body, settings.start.distance, settings.start.shape)
         self.settings = settings
-        """As given, or what was fitted."""
+        """Settings as given, or what was fitted."""
         self.session = Session(objective, begun, settings.method)
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
         """What the instrument alone explains."""
@@ -116,14 +116,14 @@ class DrivenTissue:
         Args:
             moved: displacement of the followed points, shape [P, 2] [px]; not observed = NaN.
         """
-        seen = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
-        if len(seen) < 3:
+        visible = self._driving[np.isfinite(moved[self._driving]).all(axis=1)]
+        if len(visible) < 3:
             return None
         pixels = self.surface.pixels[self.surface.gripped]
-        count = min(6, len(seen))
-        away, near = KDTree(self._points[seen]).query(pixels, k=count)
+        count = min(6, len(visible))
+        away, near = KDTree(self._points[visible]).query(pixels, k=count)
         weight = 1 / (np.square(away.reshape(-1, count)) + 1)  # px: a point in the very place doesn't count for all
-        motion = (weight[..., None] * moved[seen][near.reshape(-1, count)]).sum(axis=1) / weight.sum(axis=1)[:, None]
+        motion = (weight[..., None] * moved[visible][near.reshape(-1, count)]).sum(axis=1) / weight.sum(axis=1)[:, None]
         surface, gripped = self.surface, self.surface.gripped
         return surface.lift(surface.pixels[gripped] + motion, surface.body.rest[gripped, 2])
 

@@ -126,7 +126,7 @@ class _Followed:
         return FieldResult(self.field(), times, course, bool(driven.stretched.any()), driven, skills)
 
     def field(self) -> ParticleField:
-        """As it is now."""
+        """Return the field as it is now."""
         surface, session = self._driven.surface, self._driven.session
         size = surface.camera.height, surface.camera.width
         pixels = grid_to_picture(surface.project(session.positions) + self._background, size, self._clip.size)
@@ -179,11 +179,11 @@ class OnlineSession(RunSession):
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is not None and len(contact.observation) == 0:
             contact = None
-        said, found = self._reason, None
+        reason, found = self._reason, None
         if self._driven is not None:
             found = self._driven.estimate()
             undriven = "Not enough tissue moved with the instrument to tell its stiffness anywhere."
-            said = " ".join(filter(None, (found.explanation or undriven, self._driven.fitted)))
+            reason = " ".join(filter(None, (found.explanation or undriven, self._driven.fitted)))
         alone = "Relative stiffness place by place (fields.npz) is told; no k_s, k_d or F."
-        detail = " ".join(filter(None, (run.detail, said, alone)))
+        detail = " ".join(filter(None, (run.detail, reason, alone)))
         return run.estimate(interaction=contact, field=found, detail=detail)

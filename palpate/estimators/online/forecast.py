@@ -15,7 +15,7 @@ from palpate.physics.sheet import equilibrium
 
 FIELD, SHEET = "field", "sheet of one number"
 RATIOS = np.geomspace(1e-4, 1, 17)
-"""Of foundation to springs that a sheet of one number is tried with."""
+"""Ratios of foundation to springs that a sheet of one number is tried with."""
 MOST_FRAMES = 8
 """So many frames, evenly spread, say how well models predict: the motion grows steadily, and sheets take time."""
 
@@ -27,7 +27,7 @@ class Lattice:
     points: np.ndarray
     """Places in the first frame, shape [P, 2] [px]."""
     spacing: int
-    """Of their grid [px]."""
+    """Spacing of their grid [px]."""
     distance: np.ndarray
     """From the tool there, shape [P] [px]."""
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 KNOTS = 12, 4
-"""Of distances and of shapes; the cost goes with their number."""
+"""Knots of distances and of shapes; the cost goes with their number."""
 
 
 def farthest(places: np.ndarray, first: int, count: int) -> list[int]:
@@ -42,7 +42,8 @@ def bumps(rest: np.ndarray, knots: int) -> np.ndarray:
 
 
 def knot_shares(rest: np.ndarray, more: int = 0) -> tuple[list[np.ndarray], np.ndarray]:
-    """Of distances and of shapes: `bumps` of either, and shares in the knots of both, shape [2, N, knots of both].
+    """Return for distances and for shapes `bumps` of either, and shares in the knots of both, shape [2, N, knots of
+    both].
 
     Args:
         rest: positions at rest, shape [N, 3].

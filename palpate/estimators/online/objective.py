@@ -80,10 +80,10 @@ class Tracks:
         """
         if np.shape(observed) != (places.shape[0], 3):
             raise ValueError(f"observed has shape {np.shape(observed)}; give {(places.shape[0], 3)}.")
-        seen = np.isfinite(observed).all(axis=1)
-        if not seen.any():
+        visible = np.isfinite(observed).all(axis=1)
+        if not visible.any():
             raise ValueError("none of the followed points is seen.")
-        self.places, self.observed = places[np.flatnonzero(seen)], np.asarray(observed, np.float64)[seen]
+        self.places, self.observed = places[np.flatnonzero(visible)], np.asarray(observed, np.float64)[visible]
         self._curved = (2 / len(self.observed) * (self.places.T @ self.places)).tocsr()
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
@@ -104,9 +104,10 @@ class Mapping(Checked):
     steps: Annotated[int, 1, MOST_ITERATIONS] = 30
     """Gradient steps (section II-B)."""
     rate: Positive = 50.0
-    """Of them at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n. Lengths may
-    have any unit: both terms are squares of lengths. A particle that more of what was observed hangs on than that
-    bears, as where points are followed on a part of a large sheet only, goes at most as far as these points ask."""
+    """Learning rate at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n.
+    Lengths may have any unit: both terms are squares of lengths. A particle that more of what was observed hangs on
+    than that bears, as where points are followed on a part of a large sheet only, goes at most as far as these points
+    ask."""
 
 
 class _Step(NamedTuple):
@@ -114,9 +115,9 @@ class _Step(NamedTuple):
 
     points: np.ndarray
     bends: list[csr_array | np.ndarray]
-    """Second derivatives of what was matched, as of `slope`."""
+    """Second derivatives of what was matched, as in `slope`."""
     rates: np.ndarray
-    """Of the particles, shape [N, 1]; 0 for what is held."""
+    """Learning rates of the particles, shape [N, 1]; 0 for what is held."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +185,7 @@ class Bounds(Checked, group="the bound of "):
     distance: Positive = 10.0
     """[N/m], where m/Δt² is 1."""
     shape: Positive = 10.0
-    """Likewise."""
+    """Bounds of shapes' stiffness, likewise."""
 
     def logits(self, fields: Stiffness) -> np.ndarray:
         """What `fields` makes those fields of, shape [2, N]: distances, then shapes.
@@ -223,12 +224,12 @@ class Weights(Checked, group="the weight of "):
     """What the terms count; the paper adds them up as they are, in units that it doesn't give."""
 
     gap: NotNegative = 1.0
-    """Of ‖Δ‖ in mean edges: weights then don't depend on the unit of the clip."""
+    """Weight of ‖Δ‖ in mean edges: weights then don't depend on the unit of the clip."""
     history: NotNegative = 0.1
-    """Of the sum over snapshots of how far each moves, likewise. Not 1: tissue that is pulled isn't at rest, and soft
-    fields keep it so. Adam's alone: Gauss–Newton's past is the simulation that it carries along."""
+    """Weight of the sum over snapshots of how far each moves, likewise. Not 1: tissue that is pulled isn't at rest, and
+    soft fields keep it so. Adam's alone: Gauss–Newton's past is the simulation that it carries along."""
     smoothness: NotNegative = 1.0
-    """Of the mean difference between neighbours, in shares of the bounds."""
+    """Weight of the mean difference between neighbours, in shares of the bounds."""
 
 
 class Terms(NamedTuple):
@@ -255,7 +256,8 @@ class Objective(Checked):
 
     @cached_property
     def differences(self) -> csr_array:
-        """Of neighbours' stiffness, a row for every pair within every face or tetrahedron, shape [pairs, N]."""
+        """Differences of neighbours' stiffness, a row for every pair within every face or tetrahedron, shape [pairs,
+        N]."""
         cells = self.body.tetrahedra if len(self.body.tetrahedra) else self.body.faces
         first, second = np.triu_indices(cells.shape[1], 1)
         pairs = np.stack([cells[:, first].ravel(), cells[:, second].ravel()], axis=1)

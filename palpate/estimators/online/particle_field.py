@@ -71,7 +71,7 @@ class ParticleField:
     faces: np.ndarray
     """Triangles that the camera saw there, shape [F, 3]."""
     tetrahedra: np.ndarray
-    """Of a volume, shape [V, 4]; none of a sheet."""
+    """Tetrahedra of a volume, shape [V, 4]; none of a sheet."""
     positions: np.ndarray
     """Particles now, without the background's motion, shape [N, 3] [scene units]."""
     pixels: np.ndarray
@@ -118,7 +118,7 @@ class FieldResult:
     """What the motion of tissue that an instrument drives tells of stiffness place by place; T frames, rest first."""
 
     last: ParticleField
-    """As it was in the last frame."""
+    """Field as it was in the last frame."""
     times: np.ndarray
     """Since the run's first frame, shape [T] [s]."""
     course: np.ndarray

@@ -59,7 +59,8 @@ class SequenceTissue:
             yield frame, self._field(gap)
 
     def _moved(self, frame: int) -> np.ndarray:
-        """Of the followed points since rest, in the view's picture and away from its eye, shape [P, 3] [px]."""
+        """Return the motion of the followed points since rest, in the view's picture and away from its eye, shape [P,
+        3] [px]."""
         if self._points is None:
             return np.empty((0, 3))
         rest, now = self._points[self._begin, self._followed], self._points[frame, self._followed]
@@ -73,7 +74,7 @@ class SequenceTissue:
         return moved(self.surface.body.rest[self.surface.gripped], motion)
 
     def _field(self, gap: float | None) -> ParticleField:
-        """As it is now, in the sequence's frame."""
+        """Return the field as it is now, in the sequence's frame."""
         surface, session, back = self.surface, self.driven.session, np.linalg.inv(self._view)
         tissue = moved(surface.body.rest, back), surface.faces, surface.body.tetrahedra, moved(session.positions, back)
         maps = map(StiffnessMap, session.fields[:2], *self.driven.determined())
@@ -96,8 +97,8 @@ class SequenceTissue:
             pinned = ((boxes[:, 0] <= places) & (places <= boxes[:, 1])).all(axis=2).any(axis=0)
         pinned &= ~driven
         if not pinned.any() or (pinned | driven).all():
-            said = "holds no free tissue in its pins' boxes, or all; change them, in the poses' frame and `unit`"
-            raise InputError(f"{printable(sequence.path)} {said}.")
+            text = "holds no free tissue in its pins' boxes, or all; change them, in the poses' frame and `unit`"
+            raise InputError(f"{printable(sequence.path)} {text}.")
         body = body_below(mesh, pinned, settings.thickness, layers)
         focal = PIXELS * float(cloud[:, 2].mean() / wide)
         camera = Camera.from_focal(focal, *(int(PIXELS * count) for count in mesh.grid_shape[::-1]))

@@ -23,7 +23,7 @@ class Adam:
     rate: float = 0.1
     """Liang 2024, section III-B."""
     decay: tuple[float, float] = (0.9, 0.999)
-    """Of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""
+    """Decay of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""
     guard: float = 1e-8
     _mean: np.ndarray | float = field(default=0.0, init=False, repr=False)
     _square: np.ndarray | float = field(default=0.0, init=False, repr=False)
@@ -57,7 +57,7 @@ class Method(Checked):
     """By what stiffness is changed: Adam, the paper's, or Gauss–Newton steps of the fields at a few knots, which are
     `palpate.estimators.online.determined`'s and need followed points."""
     rate: Positive = 0.1
-    """Of Adam, by the logits of the fields (Liang 2024, section III-B)."""
+    """Learning rate of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Frame:
     gap: float | None
     """‖Δ‖ [m]; None = nothing was mapped."""
     terms: Terms | None
-    """Of what was optimised, before the step; None = nothing was."""
+    """Terms of what was optimised, before the step; None = nothing was."""
 
 
 class Session:

@@ -23,9 +23,9 @@ class Start(Checked, group="the start of "):
     """
 
     distance: Positive = 1.0
-    """Of distances [m/Δt²]: the paper's second start."""
+    """Stiffness of distances [m/Δt²]: the paper's second start."""
     shape: Positive = 0.01
-    """Of shapes, likewise: the paper's 0.1 lies outside its own bound of 0.02."""
+    """Stiffness of shapes, likewise: the paper's 0.1 lies outside its own bound of 0.02."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class OnlineSettings(Checked):
     particles: Annotated[int, 30, 10_000] = 600
     """About so many make up the tissue, all layers of a volume together (Liang 2024, section III)."""
     thickness: Positive | None = None
-    """Of the tissue along its surface's normal [scene units]; None = a sheet."""
+    """Thickness of the tissue along its surface's normal [scene units]; None = a sheet."""
     points: Annotated[int, 1, LARGEST] = 9000
     """At most so many of a sequence's cloud (Liang 2024, section III)."""
     strain: NotNegative = 0.03

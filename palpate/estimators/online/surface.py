@@ -31,9 +31,9 @@ class Surface:
     gripped: np.ndarray
     """Particles that an instrument moves, shape [G]."""
     pixels: np.ndarray
-    """Of the particles at rest, shape [N, 2] (column, row) [px of the followed picture]."""
+    """Places of the particles at rest, shape [N, 2] (column, row) [px of the followed picture]."""
     camera: Camera
-    """Of the followed picture."""
+    """Camera of the followed picture."""
     reach: float
     """Tissue that began nearer to a tool moves with it [px]."""
 
@@ -157,6 +157,6 @@ def body_below(mesh: Mesh, pinned: np.ndarray, thickness: float | None, layers: 
     rest, tetrahedra = layered(upper, faces, below, layers)
     merged = (np.diff(rest.reshape(layers, -1, 3), axis=0) == 0).all(axis=2).any()  # by rounding
     if merged or len(tetrahedra) == 0:
-        said = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
-        raise NoEstimate(f"{said}; give the tissue's, or null for a sheet.")
+        problem = f"No volume can be made below the tissue with a thickness of {thickness:g} in the depth's unit"
+        raise NoEstimate(f"{problem}; give the tissue's, or null for a sheet.")
     return make_body(rest, outer_faces(tetrahedra), tetrahedra, pinned=np.tile(pinned, layers))

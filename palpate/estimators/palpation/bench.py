@@ -26,11 +26,11 @@ class Palpation:
     contact: np.ndarray
     """Where it acts, on the surface at rest, shape [3] [m]."""
     points: np.ndarray
-    """Of the deformed surface, in the sensor's frame, in whose origin its eye is, shape [P, 3] [m]."""
+    """Points of the deformed surface, in the sensor's frame, in whose origin its eye is, shape [P, 3] [m]."""
     pose: np.ndarray
-    """Of the sensor in the body's frame as the tool that carries it tells, shape [4, 4]."""
+    """Pose of the sensor in the body's frame as the tool that carries it tells, shape [4, 4]."""
     tool_radius: float = 0.015
-    """Of the patch on which the force acts [m]."""
+    """Radius of the patch on which the force acts [m]."""
     hole: float = 0.02
     """Around the contact, where points show the tool or its shadow and don't count [m]."""
     pose_shift: float = 0.005
@@ -48,7 +48,7 @@ class Bench:
         self.solves = 0
         """Equilibria that were computed, those that failed included."""
         self.near: LinearSystem | None = None
-        """Of a state of this body: its factors help with all others."""
+        """State of this body whose factors help with all others."""
         # By ICP with the surface at rest, of which the deformed part is what fits worst.
         surface = skin.vertices, skin.triangles
         # A pose whose place is known better isn't registered: a flat surface would slide under the tool [m].
@@ -67,7 +67,7 @@ class Bench:
             self.sights.append(back if self.eyes[-1] else normals)
             apart.append(np.abs(match.distance / np.maximum((self.sights[-1] * normals).sum(axis=1), GRAZING)))
         self.noise = max(1.4826 * float(np.median(np.concatenate(apart))), 1e-6 * float(np.ptp(skin.vertices)))
-        """Of the points along the sight, by what of them has not moved [m]."""
+        """Noise of the points along the sight, by what of them has not moved [m]."""
 
     def rests(self, material: Material, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
         """Equilibria of the body under each force.
@@ -96,8 +96,8 @@ class Bench:
         closest place isn't, and is closer wherever the surface bends.
         """
         sights = self.sights[which] @ pose[:3, :3].T
-        seen = moved(self.palpations[which].points, pose)
-        match = Match.along(seen, sights, vertices, self.skin.triangles)
+        placed = moved(self.palpations[which].points, pose)
+        match = Match.along(placed, sights, vertices, self.skin.triangles)
         return match, (match.normal * sights).sum(axis=1)
 
     def counting(self, match: Match, cosine: np.ndarray, which: int) -> np.ndarray:

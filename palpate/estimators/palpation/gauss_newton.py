@@ -45,7 +45,7 @@ class State:
 
 
 def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[State]:
-    """Of simulated bodies, as they would be with all displacements so many times larger."""
+    """Return states of simulated bodies, as they would be with all displacements so many times larger."""
     states: dict[int, State] = {}
     for rest in rests:
         if id(rest) in states:  # one press seen several times
@@ -136,9 +136,9 @@ class System:
         """
         off = [0.0] * 2
         for pose, each in zip(self.poses, self.bench.palpations, strict=True):
-            gone = pose @ np.linalg.inv(each.pose)
-            turn = np.array([gone[2, 1] - gone[1, 2], gone[0, 2] - gone[2, 0], gone[1, 0] - gone[0, 1]]) / 2
-            off += [*turn, *gone[:3, 3]]
+            step = pose @ np.linalg.inv(each.pose)
+            turn = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]]) / 2
+            off += [*turn, *step[:3, 3]]
         normal, right = np.diag(self._precision()), -self._precision() * off
         weighted = self.jacobian * self.precision[:, None]
         for which in range(len(self.poses)):
@@ -208,7 +208,7 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
         bench: the body.
         begun: E [Pa], ν, and what is known so far, its steps not made yet; without bodies, by the linear law, to which
             there is no way back.
-        report: as of `fit_material`.
+        report: as in `fit_material`.
 
     Raises:
         NoEquilibrium: as `fit_material`.
@@ -236,13 +236,13 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
         if rests and following.cost > ROUGH * system.cost and trust > SHORTEST:
             trust /= 3
             continue
-        gone = trust * found.change
+        step = trust * found.change
         steps, stiffer = steps + 1, 1.0
         (young, at), rests, system = aim, tried, following
         found = system.solved()
         # Close to ν = 0.5 derivatives change with ν, and whole steps go to and fro.
         # Steps of which the next one takes back a quarter are halved.
-        trust = trust / 2 if steps > 1 and gone @ found.change < -0.25 * gone @ gone else 1.0
+        trust = trust / 2 if steps > 1 and step @ found.change < -0.25 * step @ step else 1.0
         report(f"step {steps}: E {young:.4g} Pa, ν {at:.3f}, {1000 * found.noise:.3g} mm left")
         if found.still() or steps == 15:
             return young, at, rests, found

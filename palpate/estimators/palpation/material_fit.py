@@ -41,9 +41,9 @@ class MaterialFit:
     """[Pa]."""
     poisson: float
     covariance: np.ndarray
-    """Of (log E, ν), shape [2, 2]."""
+    """Covariance of (log E, ν), shape [2, 2]."""
     poses: list[np.ndarray]
-    """Of the sensors, aligned, each of shape [4, 4]."""
+    """Poses of the sensors, aligned, each of shape [4, 4]."""
     rests: list[Equilibrium]
     """The body under each force, as it was simulated last."""
     noise: float

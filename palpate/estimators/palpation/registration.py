@@ -47,13 +47,13 @@ def register(points: np.ndarray, surface: Triangles, pose: np.ndarray, shown: fl
     found = np.asarray(pose, np.float64)
     size = float(np.ptp(points, axis=0).max())
     for _ in range(50):
-        seen = moved(points, found)
-        match = Match.of(seen, *surface)
+        placed = moved(points, found)
+        match = Match.of(placed, *surface)
         # Share of the pairs, those closest, that align.
         near = match.apart <= np.quantile(match.apart, 0.7)
-        centre = seen[near].mean(axis=0)
+        centre = placed[near].mean(axis=0)
         # Turned about the middle, and in units of the cloud's size, the six unknowns weigh equally.
-        jacobian = np.hstack([np.cross((seen[near] - centre) / size, match.normal[near]), match.normal[near]])
+        jacobian = np.hstack([np.cross((placed[near] - centre) / size, match.normal[near]), match.normal[near]])
         # A motion that the surface doesn't show, as within a plane, is left out.
         step = np.linalg.lstsq(jacobian, -match.distance[near], rcond=shown)[0]
         there, back = np.eye(4), np.eye(4)

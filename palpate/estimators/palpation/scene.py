@@ -44,7 +44,7 @@ class SceneFile(Checked):
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
     # Cells along the longest side; unknowns grow with their cube.
     cells: Annotated[int, 2, 24] = 8
-    """Of the mesh along the surface's longest side."""
+    """Number of cells of the mesh along the surface's longest side."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,7 +65,7 @@ class PalpationFile:
     points: str
     """CSV file next to this one, with columns x, y, z [m], in the sensor's frame."""
     pose: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
-    """Of the sensor as it is believed."""
+    """Pose of the sensor as it is believed."""
     tool_radius: float = Palpation.tool_radius
     hole: float = Palpation.hole
     pose_shift: float = Palpation.pose_shift
@@ -131,8 +131,8 @@ def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:
     points = read_columns(folder / each.points, ("x", "y", "z"), "table of points")
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < FEWEST:
-        said = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
-        raise InputError(f"{printable(folder / each.points)} {said}.")
+        why = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
+        raise InputError(f"{printable(folder / each.points)} {why}.")
     _require_metres(folder / each.points, points)
     sizes = each.tool_radius, each.hole, each.pose_shift, each.pose_turn
     return Palpation(np.array(each.force), np.array(each.contact), points, np.array(each.pose, np.float64), *sizes)
@@ -159,8 +159,8 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
         how = {"process": False, "maintain_order": True, "skip_materials": True}
         mesh = trimesh.load_mesh(content, file_type="obj", **how)
     except Exception as error:  # the library's on broken content have nothing in common
-        said = getattr(error, "strerror", None) or "a line is not as it should be"
-        raise InputError(f"{printable(path)} is no .obj surface ({said}); give lines v x y z and f i j k.") from error
+        why = getattr(error, "strerror", None) or "a line is not as it should be"
+        raise InputError(f"{printable(path)} is no .obj surface ({why}); give lines v x y z and f i j k.") from error
     places, faces = np.array(mesh.vertices), np.array(mesh.faces)
     if not len(faces) or faces.min() < 0 or faces.max() >= len(places) or not (np.abs(places) <= LARGEST).all():
         raise InputError(f"{printable(path)} holds no triangles of its own finite vertices; give lines v and f.")

@@ -27,7 +27,7 @@ class Skin:
     triangles: np.ndarray
     """Indices of corners, anticlockwise seen from outside, shape [F, 3]."""
     shares: csr_array
-    """Of the nodes' displacements in a vertex's, shape [V, N]; rows add up to 1."""
+    """Shares of the nodes' displacements in a vertex's, shape [V, N]; rows add up to 1."""
 
     @cached_property
     def _creases(self) -> KDTree | None:
@@ -138,11 +138,11 @@ class Match:
     shares: np.ndarray
     """Barycentric, shape [P, 3]."""
     normal: np.ndarray
-    """Of the triangle, outwards, shape [P, 3]."""
+    """Normal of the triangle, outwards, shape [P, 3]."""
     distance: np.ndarray
-    """Of the points along the normal, or along their sight, positive outside, shape [P] [m]."""
+    """Distance of the points along the normal, or along their sight, positive outside, shape [P] [m]."""
     apart: np.ndarray
-    """Of the points from the places, shape [P] [m]."""
+    """Distance of the points from the places, shape [P] [m]."""
 
     @classmethod
     def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> "Match":

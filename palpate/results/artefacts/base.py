@@ -22,6 +22,7 @@ ARTEFACTS = Registry(
         name: f"palpate.results.artefacts.{name}"
         for name in (
             *("tables:FrameTable", "tables:ContactTable", "tables:CalibratedTable", "forces:ForceFile"),
+            "results:ResultFile",
             *("overlay:Overlay", "fit:FitPicture", "fields:FieldFile", "export:Export", "bag:Ros1Bag", "bag:Ros2Bag"),
         )
     },

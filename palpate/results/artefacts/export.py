@@ -62,7 +62,7 @@ class Deformation:
     parameters: Mapping[str, np.ndarray]
     """Quantities of the whole mesh by name; of an estimate its value and both ends of its 90 % interval."""
     fields: Mapping[str, np.ndarray]
-    """Quantities of each vertex by name, shape [N] or [N, K]; of an estimate as of `parameters`."""
+    """Quantities of each vertex by name, shape [N] or [N, K]; of an estimate as in `parameters`."""
     tetrahedra: np.ndarray | None = None
     """Vertices of the tetrahedra, shape [E, 4]; None = a sheet."""
 

@@ -21,7 +21,7 @@ from palpate.estimators.result import values_of
 from palpate.physics.identifiability import NINETY
 from palpate.results import store
 from palpate.results.artefacts.base import Artefact
-from palpate.results.verdicts import NOTES, in_words, numbers, state
+from palpate.results.verdicts import NOTES, OWN_UNITS, in_words, numbers, state
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,18 +64,18 @@ def draw_fits(runs: Sequence[InteractionEstimate], counts: Counter[str], title: 
 
     total, words = counts.total(), [_described(run) for run in runs]
     drawn = f"{len(runs)} are drawn, interactions.csv has all. " if len(runs) < total else ""
-    heights = [0.9 + 0.2 * len(said) + 2.8 * _moves(run) for run, (_, said) in zip(runs, words, strict=True)]
+    heights = [0.9 + 0.2 * len(lines) + 2.8 * _moves(run) for run, (_, lines) in zip(runs, words, strict=True)]
     figure = Figure(figsize=(15, sum(heights) + 1.4), dpi=100, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12))
     figure.suptitle("\n".join(_lines(title, 52)), x=0.01, ha="left", fontsize=18, fontweight="bold")
-    footer = f"Contacts: {total}, with an estimate: {total - counts['no_estimate']}. {drawn}Research software, not a "
-    figure.supxlabel(f"{footer}medical device.", x=0.01, ha="left", fontsize=10)
+    footer = f"Contacts: {total}, with an estimate: {total - counts['no_estimate']}. {drawn}{OWN_UNITS}."
+    figure.supxlabel(f"{footer} Research software, not a medical device.", x=0.01, ha="left", fontsize=10)
     if not runs:
         return figure
     rows = figure.subplots(len(runs), height_ratios=heights, squeeze=False)[:, 0]
-    for axes, run, (heading, said) in zip(rows, runs, words, strict=True):
-        axes.set_title("\n".join(said), loc="left", fontsize=10.5)
+    for axes, run, (heading, lines) in zip(rows, runs, words, strict=True):
+        axes.set_title("\n".join(lines), loc="left", fontsize=10.5)
         axes.annotate(
-            heading, (0, 1), (0, 9 + 14.7 * len(said)), "axes fraction", "offset points", fontsize=13,
+            heading, (0, 1), (0, 9 + 14.7 * len(lines)), "axes fraction", "offset points", fontsize=13,
             fontweight="bold", va="bottom", color=np.divide(NOTES[state(run)].color, 255), annotation_clip=False,
         )  # fmt: skip
         if _moves(run):
@@ -113,7 +113,7 @@ def _described(run: InteractionEstimate) -> tuple[str, list[str]]:
         explained = f"Skill {pull.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
     elif press is not None and run.beside is None:
         sure, explained = "doubtful" if run.verdict == "determined" and run.detail else run.verdict, press.explanation
-        heading += ", " + ", ".join(" ".join(pair) for pair in numbers(sure, values_of(press.numbers)))
+        heading += ", " + ", ".join(map(" ".join, numbers(sure, values_of(press.numbers))))
     return "\n".join(_lines(heading, 110)), _lines(f"{run.detail} {explained}".strip())
 
 

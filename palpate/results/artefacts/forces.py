@@ -54,7 +54,7 @@ class ContactForce:
     why: str
     """Why it is unknown somewhere."""
     pressed: np.ndarray
-    """Of a press its force over F where that was observed, shape [T]: with F it is the force."""
+    """Force profile of a press, its force over F, where that was observed, shape [T]: with F it is the force."""
     direction: np.ndarray | None
     """Unit vector of a press's force on the tissue, shape [3], in the camera's axes; nobody knows a pull's."""
     ratio: Quantity | None
@@ -173,8 +173,8 @@ def forces_record(
     times = np.array([estimate.time_s for estimate in estimates])
     lasts = np.diff(times, append=times[-1:] + 1 / fps)
     rows = {row["onset_frame"]: row for row in calibrated}
-    told = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
-    records = [contact.record(estimates, lasts) | contact.in_millimetres(length) for contact in told]
+    scaled = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
+    records = [contact.record(estimates, lasts) | contact.in_millimetres(length) for contact in scaled]
     notice = "Research software, not a medical device."
     return {"notice": notice, "contacts": records}
 
@@ -183,9 +183,9 @@ def _pressed(run: InteractionEstimate, found: PressResult, since: np.ndarray, se
     """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
     shape, (delay, release) = found.course.shape or PressShape(), found.course.delays
     last, contact = math.inf if found.light else seconds, run.interaction
-    seen = None if contact is None else contact.shading if found.light else contact.observation
-    if seen is not None and len(seen.times):
-        last = min(last, seen.times[-1])
+    observed = None if contact is None else contact.shading if found.light else contact.observation
+    if observed is not None and len(observed.times):
+        last = min(last, observed.times[-1])
     end = math.inf if run.load_s is None else run.load_s + release - shape.fall
     factor = _risen(since - delay, shape.rise) - _risen(since - end, shape.fall)
     return np.where(since <= last + SAME_INSTANT, factor, np.nan)

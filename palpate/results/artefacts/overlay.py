@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from palpate.data.source.video import Video
 from palpate.results import store
 from palpate.results.artefacts.base import Artefact
-from palpate.results.overlay import canvas_size, draw_overlay
+from palpate.results.overlay import canvas_size, draw_overlay, panel_corner
 
 
 class Overlay(Artefact):
@@ -18,6 +18,7 @@ class Overlay(Artefact):
     def open(self) -> None:
         self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps, preset="superfast")
         self._drawer = ThreadPoolExecutor(1, "overlay")
+        self._corner = (0, 0)
         self._drawing: deque[Future[None]] = deque()
 
     def frame(self, estimate, image, labels) -> None:
@@ -26,7 +27,8 @@ class Overlay(Artefact):
 
     def _draw(self, estimate, image, labels) -> None:
         start = time.perf_counter()
-        self._video.write(draw_overlay(image, self.clip.size, labels, estimate))
+        self._corner = panel_corner(labels, self._corner)
+        self._video.write(draw_overlay(image, self.clip.size, labels, estimate, self._corner))
         self.clip.seconds["overlay"] += time.perf_counter() - start
 
     def _wait(self, left: int) -> None:

@@ -1,16 +1,32 @@
-"""What the pages show: a folder of results as plain dicts. Cells are taken as they stand, nothing is computed anew."""
+"""What the pages show: a folder of results as plain dicts, with the numbers of its files."""
 
-import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from palpate.estimators.result import ENDS
 from palpate.results import store
-from palpate.results.verdicts import NOTES, in_words, numbers
+from palpate.results.artefacts.forces import RELATIVE
+from palpate.results.verdicts import NOTES, OWN_UNITS, in_words, numbers, rounded
 
 CURVES = ("stiffness", "stiffness_low", "stiffness_high")
-"""Columns of both tables that are drawn over time."""
+"""Columns of frames and contacts that are drawn over time."""
+FIXES = {
+    "was trained on": "Give depth and masks from the sources that the model was trained on, or another --model.",
+    "masks": "Look at the overlay. Where an instrument's outline is wrong, draw it by palpate outline CLIP, and give "
+    "that file as --masks.",
+    "compression": "Give the video as the camera recorded it, or less compressed.",
+    "never calibrated": "Take the shipped model, or calibrate yours (docs/training.md).",
+    "no stiffness is known": "Give a clip in which an instrument pulls or pushes tissue in view.",
+    "not exported": "Contacts are exported where stiffness, damping and force are all determined.",
+    "reached the limit": "The limit is that of --force-limit.",
+}
+"""What to do about a warning that has these words."""
+QUESTIONS = {"k_s": "How stiff?", "k_d": "How damped?", "|F|": "How hard?", "mean F": "How hard?"}
+QUESTIONS |= {"k_d/k_s": "Damping over stiffness", "|F|/k_s": "Force over stiffness"}
+"""Headings of numbers by symbol."""
 
 
 def clip_folders(output: Path) -> list[Path]:
@@ -43,35 +59,48 @@ def clip_of(folder: Path) -> dict[str, Any]:
     """What a clip's page shows.
 
     Raises:
-        OSError: a table can't be read.
+        OSError: a file can't be read.
         KeyError, TypeError, ValueError: the results are damaged, or of another version.
     """
-    record = store.read_record(folder)
+    record, frames, contacts = store.read_record(folder), _json(folder / store.RESULTS)["frames"], contacts_of(folder)
     # A series of .vtu files is listed by its index.
     files = [name for name in store.own_files(folder) if (folder / name).is_file() and not name.endswith(".vtu")]
-    shown = summary_of(folder) | _of_video(folder, record) | {"files": files}
-    return shown | {"verdicts": [_explained(*item) for item in record["verdicts"].items()]}
-
-
-def _of_video(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Curves, contacts and forces of a video."""
-    columns = "frame", "time_s", *CURVES, "status", "verdict", "determined", "detail", "alarm"
-    frames, contacts = _table(folder / store.TABLE, columns), contacts_of(folder)
-    return {
+    states = Counter(frame["verdict"] or frame["status"] for frame in frames)
+    shown, order = summary_of(folder), [*NOTES, *record["contacts"]]
+    names = dict.fromkeys([*(contact["name"] for contact in contacts), *states])
+    warnings = [(text, _fix(text, states)) for text in shown["warnings"]]
+    first = min(contacts, key=lambda contact: order.index(contact["name"]), default=None)
+    return shown | {
+        "files": files,
         "video": store.OVERLAY if (folder / store.OVERLAY).is_file() else None,
-        "found": contacts,
+        "first": first,
+        "contacts": contacts,
         "length": record["units"].get("length", ""),
-        "states": [_explained(*item) for item in record["statuses"].items()],
-        "curves": _curves(record, frames, contacts),
+        "states": [_explained(name, states[name]) for name in names],
+        "warnings": warnings,
+        "fixes": {fix: FIXES[fix] for _, fix in warnings if fix in FIXES},
+        "questions": QUESTIONS,
+        "own_units": OWN_UNITS,
+        "curves": _curves(record, frames, contacts, first),
     }
+
+
+def _fix(warning: str, states: Iterable[str]) -> str:
+    """Anchor of what to do about a warning, a status or a key of FIXES; empty where there is none."""
+    found = [name for name in states if f"are {name}" in warning] + [words for words in FIXES if words in warning]
+    return found[0] if found else ""
 
 
 def contacts_of(folder: Path) -> list[dict[str, Any]]:
     """What is shown of a video's contacts."""
-    report = json.loads((folder / store.REPORT).read_text(encoding="utf-8"))["contacts"]
-    runs, newtons = _table(folder / store.INTERACTIONS), folder / store.CALIBRATED
-    physical = _table(newtons) if newtons.is_file() else [{}] * len(runs)
-    return [_contact(*one) for one in zip(runs, report, physical, strict=True)]
+    report, runs = _json(folder / store.REPORT)["contacts"], _json(folder / store.RESULTS)["contacts"]
+    found = []
+    for run, forces in zip(runs, report, strict=True):
+        # A press over its own peak is as its model assumes: it has no interval, and nothing to show.
+        flat = forces["unit"] == RELATIVE and not any(low is not None for low in forces["force_low"])
+        shown = {"row": run, "forces": forces, "flat": flat, "numbers": contact_numbers(run, forces)}
+        found.append(shown | _explained(run["verdict"] or "no_estimate"))
+    return found
 
 
 def _explained(name: str, count: int = 0) -> dict[str, Any]:
@@ -80,37 +109,45 @@ def _explained(name: str, count: int = 0) -> dict[str, Any]:
     return {"name": name, "words": in_words(name), "count": count, "means": note.text, "do": note.remedy}
 
 
-def _contact(run: Mapping[str, str], forces: Mapping[str, Any], newtons: Mapping[str, str]) -> dict[str, Any]:
-    """A run of contact: its rows of both tables, and its verdict in words, with no number surer than that."""
-    verdict, values = run["verdict"], {name: number(cell) for name, cell in run.items()}
-    doubtful = verdict == "determined" and run["detail"]
-    shown = numbers("doubtful" if doubtful else verdict, values) if verdict else []
-    return {"row": run, "known": values, "forces": forces, "newtons": newtons, "numbers": shown} | _explained(
-        verdict or "no_estimate"
-    )
+def contact_numbers(run: Mapping[str, Any], force: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Return symbol, text and unit of what is known of a contact, in physical units where it is determined in those.
+
+    Args:
+        run: the contact as results.json has it.
+        force: the contact as forces.json has it.
+    """
+    newtons, verdict = run["newtons"] or {}, run["verdict"] or ""
+    if verdict == "relative_force" and force["mean"] is not None:
+        unit = "of peak" if force["unit"] == RELATIVE else force["unit"].partition(",")[0]
+        return [("mean F", rounded(force["mean"], abs(force["mean_high"] - force["mean_low"]) / 2), unit)]
+    if names := newtons.get("determined"):
+        return numbers("determined", {f"{x}{end}": newtons[f"{x}{end}"] for x in names for end in (*ENDS, "_unit")})
+    return numbers("doubtful" if verdict == "determined" and run["detail"] else verdict, run)
 
 
-def _curves(record: Mapping[str, Any], frames: list[dict[str, str]], contacts: list[dict[str, Any]]) -> dict[str, Any]:
-    """What the page's script draws, by frame and by run of contact; what is not known is None."""
-    found: dict[str, Any] = {"fps": record["input"]["fps"], "unit": record["units"]["stiffness"], "contacts": []}
+def _curves(
+    record: Mapping[str, Any], frames: list[dict[str, Any]], contacts: list[dict[str, Any]], first: Any
+) -> dict[str, Any]:
+    """What the page's script draws, by frame and by contact; what is not known is None."""
+    found: dict[str, Any] = {"fps": record["input"]["fps"], "contacts": []}
     for name in ("frame", "time_s", *CURVES):
-        found[name] = [number(row[name]) for row in frames]
-    found["sure"] = [_is_sure(row) for row in frames]
-    found["state"] = _coded([row["verdict"] or row["status"] for row in frames])
-    found["detail"] = _coded([row["detail"] for row in frames])
+        found[name] = [frame[name] for frame in frames]
+    # The page opens at the last frame of the contact that is known best.
+    *_, end = [-1.0] if first is None else [-1.0, *first["forces"]["time_s"]]
+    found["open"] = max(sum(frame["time_s"] <= end + 1e-6 for frame in frames) - 1, 0)
+    found["sure"] = ["stiffness" in frame["determined"] for frame in frames]
+    found["state"] = _coded([frame["verdict"] or frame["status"] for frame in frames])
+    found["detail"] = _coded([frame["detail"] or "" for frame in frames])
     if record["force_limit"]:
-        found["alarm"] = _coded([row["alarm"] for row in frames])
+        found["alarm"] = _coded([frame["alarm"] or "" for frame in frames])
     for contact in contacts:
-        values = {name: number(contact["row"][name]) for name in CURVES}
-        values |= {"name": contact["name"], "sure": _is_sure(contact["row"])}
-        names = "unit", "time_s", "frame_s", "force", "force_low", "force_high"
-        found["contacts"].append(values | {name: contact["forces"][name] for name in names})
+        row, forces = contact["row"], contact["forces"]
+        # A pull determines no stiffness: its press, if one was fitted, would only hide the rest.
+        values = {name: None if contact["name"] == "relative_force" else row[name] for name in CURVES}
+        values |= {"sure": "stiffness" in row["determined"], "words": contact["words"], "flat": contact["flat"]}
+        values |= {x: forces[x] for x in ("unit", "time_s", "frame_s", "force", "force_low", "force_high")}
+        found["contacts"].append(values)
     return found
-
-
-def _is_sure(row: Mapping[str, str]) -> bool:
-    """Whether a row's stiffness is determined."""
-    return "stiffness" in row["determined"].split(";")
 
 
 def _coded(texts: Sequence[str]) -> dict[str, Any]:
@@ -119,14 +156,5 @@ def _coded(texts: Sequence[str]) -> dict[str, Any]:
     return {"names": list(places), "words": list(map(in_words, places)), "index": [places[text] for text in texts]}
 
 
-def number(cell: str) -> float | None:
-    """A cell of a table; None where it is no number."""
-    try:
-        return float(cell)
-    except ValueError:
-        return None
-
-
-def _table(path: Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", errors="replace", newline="") as stream:
-        return [{name: row.get(name, "") for name in columns or row} for row in csv.DictReader(stream)]
+def _json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))

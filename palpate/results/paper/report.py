@@ -82,8 +82,8 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     settled = {name: simulated.settle(path, load_steps, mechanics) for name, path in paths.items()}
     shares = {name: {"median of highest peak": simulated.median_share(path)} for name, path in paths.items()}
     motion = {name: simulated.motion_row(settled[name]) | share for name, share in shares.items()}
-    seen = zip(clips, contacts, strict=True)
-    motions = {(clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in seen}
+    both = zip(clips, contacts, strict=True)
+    motions = {(clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in both}
     tables: dict[str, dict[str, dict[str, Any]]] = {
         "table_2.csv": {name: summarise(values, clips) for name, values in errors.items()},
         "comparisons.csv": {

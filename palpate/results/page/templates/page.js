@@ -6,7 +6,7 @@ function showCurves(data) {
   const video = document.getElementById("video");
   const times = data.time_s, last = times.length - 1;
   const left = 60, right = 14;
-  let current = 0, width = 0, cursors = [];
+  let current = data.open, width = 0, cursors = [];
   if (last < 0) return;
   const ends = times.map((time, index) => index < last ? times[index + 1] : time + 1 / data.fps);
   const begin = times[0], end = ends[last];
@@ -37,10 +37,10 @@ function showCurves(data) {
   const finish = (svg, top, bottom) => cursors.push(add(svg, "line", {class: "cursor", y1: top, y2: bottom}));
 
   /* Pieces hold from one time to the next: begin, end, value, low, high (null: none), and whether they are sure. */
-  const draw = (kind, title, pieces) => {
+  const draw = (kind, title, layers) => {
     const height = 165, top = 6, bottom = height - 8, svg = panel(height, title);
     let low = 0, high = 0;
-    for (const piece of pieces) {  // a hundredfold interval would flatten the rest
+    for (const piece of layers.flat()) {  // a hundredfold interval would flatten the rest
       low = Math.min(low, piece.value, Math.max(piece.low ?? piece.value, -5 * Math.abs(piece.value)));
       high = Math.max(high, piece.value, Math.min(piece.high ?? piece.value, 5 * Math.abs(piece.value)));
     }
@@ -50,21 +50,14 @@ function showCurves(data) {
       add(svg, "line", {class: "grid", x1: left, x2: width - right, y1: y(tick), y2: y(tick)});
       add(svg, "text", {x: left - 6, y: y(tick) + 4, "text-anchor": "end"}, digits(tick));
     }
-    const group = add(svg, "g", {class: kind});
-    const runs = [];
-    for (const piece of pieces) {
-      const run = runs[runs.length - 1], before = run && run[run.length - 1];
-      if (before && before.sure === piece.sure && Math.abs(before.end - piece.begin) < 1e-6) run.push(piece);
-      else runs.push([piece]);
-    }
-    for (const run of runs) {
-      const unsure = run[0].sure ? "" : " unsure";
-      const steps = (name, list) => list.map(piece => [[piece.begin, piece[name]], [piece.end, piece[name]]]).flat();
-      const points = list => list.map(([time, value]) => x(time).toFixed(1) + "," + y(value).toFixed(1)).join(" ");
-      const ranged = run.filter(piece => piece.low !== null && piece.high !== null);
-      if (ranged.length) add(group, "polygon", {class: "interval" + unsure, points: points([...steps("high", ranged), ...steps("low", ranged).reverse()])});
-      add(group, "polyline", {class: "value" + unsure, points: points(steps("value", run))});
-    }
+    layers.forEach((pieces, layer) => {
+      const group = add(svg, "g", {class: `${kind} layer${layer}`});
+      for (const {begin, end, value, low: least, high: most, sure} of pieces) {
+        const place = {x: x(begin), width: x(end) - x(begin)}, unsure = sure ? "" : " unsure";
+        if (least !== null && most !== null) add(group, "rect", {...place, class: "interval" + unsure, y: y(most), height: y(least) - y(most)});
+        add(group, "line", {class: "value" + unsure, x1: place.x, x2: x(end), y1: y(value), y2: y(value)});
+      }
+    });
     finish(svg, top, bottom);
   };
   const band = (title, coded, prefix) => {
@@ -83,16 +76,15 @@ function showCurves(data) {
     add(svg, "text", {x: (left + width - right) / 2, y: 30, "text-anchor": "middle"}, "time [s]");
   };
 
-  const forcePieces = contact => contact.time_s.map((time, index) => ({
-    begin: time, end: time + contact.frame_s[index], value: contact.force[index],
-    low: contact.force_low[index], high: contact.force_high[index], sure: true,
+  const pieces = (begins, lasts, source, names, sure) => begins.map((begin, index) => ({
+    begin, end: begin + lasts[index], sure: sure === undefined || sure[index],
+    value: source[names[0]][index], low: source[names[1]][index], high: source[names[2]][index],
   })).filter(piece => piece.value !== null);
-  const framePieces = times.map((time, index) => ({
-    begin: time, end: ends[index], value: data.stiffness[index], low: data.stiffness_low[index],
-    high: data.stiffness_high[index], sure: data.sure[index],
-  })).filter(piece => piece.value !== null);
-  const runPieces = data.contacts.filter(contact => contact.stiffness !== null && contact.time_s.length).map(contact => ({
-    begin: contact.time_s[0], end: contact.time_s[contact.time_s.length - 1] + contact.frame_s[contact.frame_s.length - 1],
+  const forces = contact => pieces(contact.time_s, contact.frame_s, contact, ["force", "force_low", "force_high"]);
+  const stiffness = ["stiffness", "stiffness_low", "stiffness_high"];
+  const frames = pieces(times, ends.map((end, index) => end - times[index]), data, stiffness, data.sure);
+  const whole = data.contacts.filter(contact => contact.stiffness !== null && contact.time_s.length).map(contact => ({
+    begin: contact.time_s[0], end: contact.time_s.at(-1) + contact.frame_s.at(-1),
     value: contact.stiffness, low: contact.stiffness_low, high: contact.stiffness_high, sure: contact.sure,
   }));
 
@@ -101,28 +93,29 @@ function showCurves(data) {
     width = box.clientWidth;
     cursors = [];
     box.replaceChildren();
-    const units = [...new Set(data.contacts.map(contact => contact.unit).filter(unit => unit))];
-    for (const unit of units) draw("force", "force, " + unit, data.contacts.filter(contact => contact.unit === unit).flatMap(forcePieces));
-    if (runPieces.length) draw("stiffness", "stiffness by contact, " + data.unit, runPieces);
-    if (framePieces.length) draw("stiffness", "stiffness by frame, " + data.unit, framePieces);
-    band("verdict of the frame, or its status", data.state, "v-");
+    if (frames.length + whole.length) draw("stiffness", "stiffness k_s [f/u]", [frames, whole]);
+    const shown = data.contacts.filter(contact => !contact.flat);
+    for (const unit of new Set(shown.map(contact => contact.unit).filter(unit => unit))) {
+      draw("force", "force, " + unit, [[], shown.filter(contact => contact.unit === unit).flatMap(forces)]);
+    }
+    band("what each frame shows", data.state, "v-");
     if (data.alarm) band("alarm of the force limit", data.alarm, "a-");
     axis();
     move(current);
   };
 
   const ranged = (value, low, high) => digits(value) + (low === null || high === null ? "" : ` (${digits(low)} to ${digits(high)})`);
-  const told = index => {
+  const said = index => {
     const parts = [`frame ${data.frame[index]}, ${times[index].toFixed(2)} s: ${data.state.words[data.state.index[index]]}`];
     for (const contact of data.contacts) {
       const at = contact.time_s.findIndex(time => Math.abs(time - times[index]) < 1e-6);
       if (at < 0) continue;
       const force = contact.force[at];
-      parts.push("contact: " + contact.name.replaceAll("_", " "));
-      parts.push(force === null ? "force unknown" : `force ${ranged(force, contact.force_low[at], contact.force_high[at])} ${contact.unit}`);
+      if (contact.words !== data.state.words[data.state.index[index]]) parts.push("whole contact: " + contact.words);
+      if (!contact.flat) parts.push(force === null ? "force unknown" : `force ${ranged(force, contact.force_low[at], contact.force_high[at])} ${contact.unit}`);
     }
     const value = data.stiffness[index];
-    if (value !== null) parts.push(`stiffness ${ranged(value, data.stiffness_low[index], data.stiffness_high[index])} ${data.sure[index] ? "" : "(not determined) "}${data.unit}`);
+    if (value !== null) parts.push(`stiffness ${ranged(value, data.stiffness_low[index], data.stiffness_high[index])} f/u${data.sure[index] ? "" : " (not determined)"}`);
     if (data.alarm && data.alarm.names[data.alarm.index[index]]) parts.push("alarm: " + data.alarm.names[data.alarm.index[index]]);
     const detail = data.detail.names[data.detail.index[index]];
     return parts.join("; ") + (detail ? ". " + detail : "");
@@ -131,7 +124,7 @@ function showCurves(data) {
     current = Math.min(Math.max(index, 0), last);
     const at = x(times[current]);
     for (const cursor of cursors) { cursor.setAttribute("x1", at); cursor.setAttribute("x2", at); }
-    now.textContent = told(current);
+    now.textContent = said(current);
     box.setAttribute("aria-valuenow", current);
     box.setAttribute("aria-valuetext", now.textContent);
   };
@@ -160,7 +153,8 @@ function showCurves(data) {
     const failed = () => { document.getElementById("unplayable").hidden = false; };
     video.addEventListener("error", failed);
     if (video.error) failed();
-    video.addEventListener("loadedmetadata", () => { if (current) seek(current); });
+    video.addEventListener("loadedmetadata", () => seek(current));
+    if (video.readyState) seek(current);
     for (const name of ["seeked", "timeupdate"]) video.addEventListener(name, follow);
     video.addEventListener("play", () => {
       const tick = () => { if (!video.paused) { follow(); requestAnimationFrame(tick); } };

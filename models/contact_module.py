@@ -96,8 +96,11 @@ class AmortisedPosterior(LightningModule):
         self.log(f"{STAGES[stage]}/loss", loss.detach(), prog_bar=True, batch_size=1)
 
     def export(self, output: Path, datamodule: Any, configuration: str = "") -> str:
-        """Write the weights, which `palpate.estimators.network.calibration` exports and calibrates; its arguments are
-        as of the other modules.
+        """Write the weights, which `palpate.estimators.network.calibration` exports and calibrates.
+
+        Args:
+            output: the file.
+            datamodule, configuration: not needed; other modules' files hold them.
         """
         with replacing_own(output) as partial:
             torch.save(self.posterior.state_dict(), partial)

@@ -124,7 +124,7 @@ class DepthLikelihood:
         self.times, change = sequence.times, sequence.change[inner]
         self.patches = Patches(mesh, vertex, sequence.size, reach, parts)
         self.vertices, self._astray, self._uneven = self.patches.vertices, astray, uneven
-        self.observed = change.reshape(len(change), -1).astype(np.float64)
+        self.observed = change.reshape(len(change), math.prod(change.shape[1:])).astype(np.float64)
         """Shape [N, P] [scene units]."""
         beside = maximum_filter(~np.isfinite(sequence.change), (1, 3, 3))[inner].reshape(self.observed.shape)
         self._unevenness = np.where(beside, partial, WALL)

@@ -13,6 +13,7 @@ from palpate.__main__ import COMMANDS
 from tests.test_architecture import ROOT, faces, modules
 
 MODULES = [
+    "benchmarks.alarm",
     "benchmarks.compare_with_truth",
     "benchmarks.goldens",
     "benchmarks.inference",

@@ -768,7 +768,6 @@ def test_two_workers_of_a_scheduler_give_the_same_tables(
 
 
 def test_a_scheduler_that_cannot_be_used_is_said(named_alike, inputs, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("palpate.common.distributed.ANSWERS_WITHIN", 1)
     assert several(named_alike, inputs, tmp_path, "--scheduler", "tcp://127.0.0.1:9") == 2
     assert "no Dask scheduler answers at tcp://127.0.0.1:9" in flat(capsys.readouterr().err)
     with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster:

@@ -47,7 +47,6 @@ class RunLogger(MLFlowLogger):
         prefix: of its metrics' names in MLflow.
 
     Raises:
-        InputError: the database can't be used.
         CheckpointError: the checkpoint can't be read.
     """
 
@@ -55,8 +54,6 @@ class RunLogger(MLFlowLogger):
         self, folder: Path, run_name: str | None = None, checkpoint: Path | None = None, prefix: str = ""
     ) -> None:
         root = folder.resolve().parent
-        root.mkdir(parents=True, exist_ok=True)
-        _require_database(root / "mlflow.db")
         database = f"sqlite:///{root / 'mlflow.db'}"
         run_id = None if checkpoint is None else _run_of(checkpoint, database, run_name)
         place: dict[str, Any] = {"tracking_uri": database, "artifact_location": str(root / "mlflow"), "run_id": run_id}
@@ -101,13 +98,22 @@ class RunRecord(SaveConfigCallback):
 def loggers_of(
     folder: str, tracking: bool, name: str | None, checkpoint: str | None, command: str
 ) -> list[dict[str, Any]]:
-    """Settings of the loggers: CSV in the run folder, where config.yaml goes, too, then MLflow (see `RunLogger`)."""
+    """Settings of the loggers: CSV in the run folder, where config.yaml goes, too, then MLflow (see `RunLogger`).
+
+    Raises:
+        InputError: MLflow's database can't be used.
+    """
     csv = {"class_path": "lightning.pytorch.loggers.CSVLogger", "init_args": {"save_dir": folder, "name": "logs"}}
     # What `validate` finds has no step, and would stand among the epochs of the training.
     prefix = "validate" if command == "validate" else ""
     run = {"folder": folder, "run_name": name, "checkpoint": checkpoint, "prefix": prefix}
     mlflow = {"class_path": f"{__name__}.{RunLogger.__name__}", "init_args": run}
-    return [csv, mlflow] if tracking else [csv]
+    if not tracking:
+        return [csv]
+    root = Path(folder).resolve().parent
+    root.mkdir(parents=True, exist_ok=True)
+    _require_database(root / "mlflow.db")
+    return [csv, mlflow]
 
 
 def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:

@@ -139,11 +139,26 @@ class RunTrainer(Trainer):
 
 
 class RunFiles(Callback):
-    """Checks a checkpoint before it is followed, and writes the files of `fit` and `test` into the run folder."""
+    """Checks a checkpoint before it is followed, and writes the files of `fit` and `test` into the run folder.
+
+    Args:
+        checkpoint: that the command follows; None = a training begins.
+        goes_on: whether it is one of this run.
+    """
+
+    def __init__(self, checkpoint: str | None, goes_on: bool) -> None:
+        self._checkpoint, self._goes_on = checkpoint, goes_on
 
     def setup(self, trainer: Any, pl_module: Any, stage: str) -> None:
-        if trainer.ckpt_path is not None:
-            require_same_weights(Path(trainer.ckpt_path), pl_module, str(trainer.state.fn.value))
+        """Refuse to replace the checkpoints of another training, and a checkpoint of other weights."""
+        if self._checkpoint is not None:
+            require_same_weights(Path(self._checkpoint), pl_module, str(trainer.state.fn.value))
+        root = trainer.default_root_dir
+        if stage == "fit" and not self._goes_on and any(Path(root, "checkpoints").glob("*.ckpt")):
+            raise UsageError(
+                f"{root} holds a training already; add --ckpt_path last to go on with it, or give another "
+                "--trainer.default_root_dir."
+            )
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Refuse before the training to replace a user's file by the network's."""
@@ -197,20 +212,19 @@ class TrainCLI(LightningCLI):
         folder = Path(root or ".") / "checkpoints"
         config.ckpt_path = resolved(config, command, folder, getattr(model, "TRAINED", None))
         goes_on = config.ckpt_path is not None and Path(config.ckpt_path).resolve().parent == folder.resolve()
-        if command == "fit" and any(folder.glob("*.ckpt")) and not goes_on:
-            raise UsageError(
-                f"{root} holds a training already; add --ckpt_path last to go on with it, or give another "
-                "--trainer.default_root_dir."
-            )
         if config.trainer.logger in (None, True):
             # A training that begins with another one's weights is a run of its own.
             path = config.ckpt_path if goes_on or command != "fit" else None
-            config.trainer.logger = loggers_of(root, config.tracking, config.run_name, path, command)
+            try:
+                config.trainer.logger = loggers_of(root, config.tracking, config.run_name, path, command)
+            except InputError as error:
+                raise UsageError(str(error)) from error
         always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
         checkpoints = [ModelCheckpoint(folder, **always, **when) for when in getattr(model, "CHECKPOINTS", CHECKPOINTS)]
         # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
         bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
-        self.trainer_defaults = self.trainer_defaults | {"callbacks": [RunFiles(), *checkpoints, *bars]}
+        files = RunFiles(config.ckpt_path, goes_on)
+        self.trainer_defaults = self.trainer_defaults | {"callbacks": [files, *checkpoints, *bars]}
 
 
 def followed(source: str, target: str, default: Any) -> Callable[[Any, Any], Any]:

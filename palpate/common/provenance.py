@@ -9,7 +9,7 @@ from typing import Literal
 
 ROOT = Path(__file__).resolve().parents[1]
 """Folder `palpate`."""
-PACKAGES = ("common", "data", "estimators", "models", "physics", "planning", "results")
+PACKAGES = ("common", "data", "estimators", "models", "observations", "physics", "planning", "results")
 NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """Folders that no prepared clip depends on."""
 MASKS = "models/weights/instruments.onnx"

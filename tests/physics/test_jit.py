@@ -38,7 +38,7 @@ SMALL = """
 @pytest.fixture
 def copied(tmp_path) -> Path:
     """A checkout of the simulator of its own, without compiled code, and with a kernel that is compiled in no time."""
-    for room in ("palpate", "common", "physics"):
+    for room in ("palpate", "physics"):
         shutil.copytree(ROOT / room, tmp_path / room, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     (tmp_path / "physics" / "msd" / "small.py").write_text(textwrap.dedent(SMALL))

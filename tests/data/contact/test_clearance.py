@@ -48,7 +48,7 @@ def test_contact_is_where_the_end_meets_the_tissue_whatever_outlines_say(noise: 
     contacts = MeasuredContacts(0.02, CAMERA)
     decided = [done for made in frames for done in contacts.push(made)] + contacts.finish()
     assert [made.in_contact for made in decided] == [False] * 4 + [True] * 4 + [False] * 3
-    assert all(made.out_of_contact and "measured depths" in made.detail for made in decided[:4])
+    assert all(made.out_of_contact and "by measured depth" in made.detail for made in decided[:4])
     assert decided[2].distance == pytest.approx(0.06, abs=0.004)
     assert all(math.isnan(made.contact_probability) for made in decided)
 

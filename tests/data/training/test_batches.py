@@ -48,7 +48,7 @@ def batch_of(clip, frames: list[int], settings: SampleSettings = TOLD) -> PairBa
 def told(one: Direction) -> list[torch.Tensor]:
     [load] = one.known_loads
     parts = map(torch.from_numpy, (load.direction, load.factor, load.vertices))
-    return [one.contact_features, *parts, one.dents[0].change]
+    return [one.contact_features, *parts, torch.from_numpy(np.nan_to_num(one.dents[0].observed))]
 
 
 def test_loads_are_those_of_the_contact_cut_off_at_the_frame(clip):

@@ -77,6 +77,7 @@ class Basins:
 
     def __init__(self, hidden: int | None = None) -> None:
         self.hidden, self.looks, self.seen = hidden, [], np.ones(200, bool)
+        self.first = self
 
     def look(self, logs: np.ndarray) -> None:
         self.looks.append(float(logs[0]))

@@ -135,7 +135,7 @@ def test_an_exact_sequence_is_explained(within: float) -> None:
     own = logs[: 5 if within else 3]
     field.look(own)
     for column, step in enumerate(1e-4 * np.eye(len(own))[:3]):
-        ends = (field.change(field.motion.at(at)[0], at) for at in (own + step, own - step))
-        up, down = (shape_amounts(np.where(field.seen, end, np.nan))[0] for end in ends)
+        ends = (field.first.change(field.motion.at(at)[0], at) for at in (own + step, own - step))
+        up, down = (shape_amounts(np.where(field.first.seen, end, np.nan))[0] for end in ends)
         found = (up - down) / 2e-4
         np.testing.assert_allclose(tangents[..., column], found, atol=2e-5 * np.abs(found).max())

@@ -128,6 +128,8 @@ def posterior_physics_loss(
 
     def linearised(sample: tuple[Tensor, Mesh, Press, DepthLikelihood]) -> Linearised:
         own, mesh, load, dent = sample
+        if not len(dent.times):  # the onset's own frame
+            return Linearised(np.zeros(0), np.zeros((0, 3)))
         watch = torch.from_numpy(dent.vertices)[None]
         path, slopes = rollout_sensitivities(own[None].to(mean.dtype), [mesh], [load], mechanics, watch)
         steps = np.rint(dent.times / mechanics.time_step).astype(np.int64) - 1

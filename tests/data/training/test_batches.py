@@ -140,3 +140,14 @@ def contact_of(fine: bool) -> tuple[Interaction, np.ndarray]:
     found = (draw_contacts(settings, seed, 1, MECHANICS.time_step, sequence=True) for seed in range(30))
     drawn = next(each[0] for each in found if each and (each[0].interaction.sequence.size == (854, 480)) == fine)
     return drawn.interaction, drawn.theta
+
+
+def test_the_frame_of_the_onset_tells_nothing(clip):
+    """No instant is observed yet, so θ isn't pulled anywhere, and the loss is a number."""
+    one = batch_of(clip, [3]).a
+    box = torch.tensor(RECOMMENDED.log_box)
+    mean, factor = box.mean(dim=0)[None].double().requires_grad_(), 0.1 * torch.eye(3).double()[None]
+    given = one.meshes, one.known_loads, one.dents, Mechanics(), tuple(box)
+    loss, information = posterior_physics_loss(mean, factor, *given)
+    assert torch.isfinite(loss)
+    assert not information.any()

@@ -232,9 +232,7 @@ class ClipStream:
                 depth = np.zeros_like(depth) if depth_error else normalise(depth, self.scale, self.settings.depth.bits)
                 z, grid_labels = resize_depth(depth, known, shape)
             else:
-                # What is rounded next must be the same to the last bit; shading is smoothed before.
-                quick = self._depth.from_shading
-                grid_depth, grid_labels = resize_depth(depth, known, shape, quick=quick)
+                grid_depth, grid_labels = resize_depth(depth, known, shape)
                 if self._depth.from_shading:
                     grid_depth = organ_shape(grid_depth, grid_labels == TISSUE, self.camera)
                 depth_error = depth_error or self._beyond_scale(grid_depth)

@@ -185,9 +185,7 @@ def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
     return np.where(valid, steps / levels, 0).astype(np.float32)
 
 
-def resize_depth(
-    depth: np.ndarray, labels: np.ndarray, size: Size = (120, 214), *, quick: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+def resize_depth(depth: np.ndarray, labels: np.ndarray, size: Size = (120, 214)) -> tuple[np.ndarray, np.ndarray]:
     """Depth and labels on the grid, never blended across a label edge or with invalid pixels.
 
     A grid pixel takes the label with the largest area in it (tool before tissue before the rest when equal), and the
@@ -198,7 +196,6 @@ def resize_depth(
         depth: shape [H, W] float32, 0 = invalid.
         labels: shape [H, W] uint8 (0 other, 1 tissue, 2 tool, 255 outside).
         size: (height, width) of the grid.
-        quick: sum whole rows first, in a third of the time; the last bit of a depth may be another.
 
     Returns:
         depth [h, w] float32 and labels [h, w] uint8.
@@ -208,40 +205,34 @@ def resize_depth(
     """
     if depth.ndim != 2 or depth.shape != labels.shape:
         raise ValueError(f"Depth {depth.shape} and labels {labels.shape} must be two maps of one size.")
-    order, members, shares = _shares(labels, size, quick)
+    order, members, shares = _shares(labels, size)
     winner, valid, result = shares.argmax(axis=0), depth > 0, np.zeros(size, np.float32)
     complete = bool(valid.all())
     for index, (value, member) in enumerate(zip(order, members, strict=True)):
         # Outside the camera's picture, after the removal of lens distortion.
         if value == 255:
             continue
-        usable = member if complete else member & valid
-        weight = shares[index] if complete else _resized(usable, size, quick)
+        usable = member if complete else member * valid
+        weight = shares[index] if complete else _resized(usable, size)
         chosen = (winner == index) & (weight > 0) & (weight >= 0.5 * shares[index])
-        result[chosen] = _resized(depth * usable, size, quick)[chosen] / weight[chosen]
+        result[chosen] = _resized(depth * usable, size)[chosen] / weight[chosen]
     return result, np.asarray(order, np.uint8)[winner]
 
 
 def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """The labels alone, as in `resize_depth`."""
-    order, _, shares = _shares(labels, size, quick=True)
+    order, _, shares = _shares(labels, size)
     return np.asarray(order, np.uint8)[shares.argmax(axis=0)]
 
 
-def _shares(labels: np.ndarray, size: tuple[int, int], quick: bool) -> tuple[list[int], list[np.ndarray], np.ndarray]:
-    """The labels that there are, where each is, bool [H, W], and how much of every grid pixel, [labels, h, w]."""
-    everywhere = {value: labels == value for value in (TOOL, TISSUE, OTHER, 255)}
-    members = {value: member for value, member in everywhere.items() if member.any()}
-    return [*members], [*members.values()], np.stack([_resized(member, size, quick) for member in members.values()])
+def _shares(labels: np.ndarray, size: tuple[int, int]) -> tuple[list[int], list[np.ndarray], np.ndarray]:
+    """The labels that there are, where each is, float32 [H, W], and how much of every grid pixel, [labels, h, w]."""
+    order = [value for value in (TOOL, TISSUE, OTHER, 255) if (labels == value).any()]
+    members = [(labels == value).astype(np.float32) for value in order]
+    return order, members, np.stack([_resized(member, size) for member in members])
 
 
-def _resized(map_: np.ndarray, size: tuple[int, int], quick: bool) -> np.ndarray:
-    """A map, bool or float32, at a size (height, width): area average when shrinking, bilinear when enlarging."""
-    map_ = map_.view(np.uint8) if map_.dtype == bool else map_
+def _resized(map_: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A map at a size (height, width): area average when shrinking, bilinear when enlarging."""
     shrinking = size[0] <= map_.shape[0] and size[1] <= map_.shape[1]
-    rows, left = divmod(map_.shape[0], size[0])
-    if quick and shrinking and not left and rows < 256:
-        map_ = np.add.reduce(map_.reshape(size[0], rows, -1), axis=1, dtype=map_.dtype) / np.float32(rows)
-    return cv2.resize(
-        map_.astype(np.float32, copy=False), size[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR
-    )
+    return cv2.resize(map_, size[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)

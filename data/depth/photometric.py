@@ -52,7 +52,7 @@ def _falloff(shape: tuple[int, int]) -> np.ndarray:
     # Horizontal field of view that is assumed [degrees].
     pitch = 2 * math.tan(math.radians(60.0) / 2) / width
     across, down = ((np.arange(side) - (side - 1) / 2) * pitch for side in (width, height))
-    return (down[:, None] ** 2 + across**2 + 1) ** -0.75
+    return (1 / np.sqrt(down[:, None] ** 2 + across**2 + 1)) ** 1.5
 
 
 class PhotometricDepth(DepthSource):

@@ -41,7 +41,7 @@ RAISED = (0.05, 0.2, 0.5, 0.8, 0.9, 0.95, 0.99)
 
 @dataclass(frozen=True)
 class Alarms:
-    """What is compared."""
+    """Options of the benchmark."""
 
     output: Path
     """folder of table and figure"""
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
     table = curve(list(presses(asked.clips)))
     figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.subplots()
-    for limit, part in table.groupby("limit"):
+    for limit, part in table.dropna().groupby("limit"):  # those with presses on both sides
         axes.plot(part["false alarms a minute"], 100 * part["missed crossings"], "o-", label=f"limit {limit:g}")
     axes.axvline(1.0, color="0.5", linestyle=":")
     axes.set(xlabel="false alarms a minute under the limit", ylabel="missed crossings [%]", xscale="symlog")

@@ -30,7 +30,6 @@ NO_ONSET = "The onset of the contact was not observed; without it the rest shape
 UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
 PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
-
 NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 RECORDED = ("depth", "shading")
 """Observations that are recorded of every run where they can be."""

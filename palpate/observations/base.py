@@ -62,6 +62,8 @@ class Observation:
     vertices: np.ndarray
     """Whose motion is needed, shape [V]."""
     nuisance: Sequence[Parameter] = ()
+    quick = False
+    """Whether `look` needs neither derivatives nor double precision."""
 
     def __init__(self, contact: Interaction) -> None:
         self.contact = contact
@@ -175,7 +177,11 @@ class JointLikelihood(LeastSquares):
             finer: whether the error of the simulator's steps is measured there, and subtracted from now on.
             outliers: whether values that lie far from that motion count less from now on.
         """
-        moved, slopes = self._moved(logs)
+        if all(each.quick for each in self.observations):
+            moved = self.motion.quick(self.press(logs))
+            slopes = np.empty((*moved.shape, 0))
+        else:
+            moved, slopes = self._moved(logs)
         self.offset = self.motion.finer(self.press(logs)) - moved if finer else 0.0
         for each, place, own in self._each(logs):
             each.look((moved + self.offset)[place], slopes[place], logs[own], outliers=outliers)

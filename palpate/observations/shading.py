@@ -89,6 +89,7 @@ class ShadingObservation(Observation):
     def __init__(self, contact: Interaction, tilt: np.ndarray | None = None) -> None:
         super().__init__(contact)
         self._own_mesh, self._errors = tilt is None, CommonErrors(np.zeros((0, 0)))
+        self.quick = not self._own_mesh
         self.sequence: ShadingSequence = contact.observations["shading"]
         self.sheet = LitSheet(contact.mesh, contact.vertex, self.sequence.rest, tilt)
         means = [*PRIOR_MEAN[:2], *(self.sheet.tilt if tilt is None else PRIOR_MEAN[2:4]), *PRIOR_MEAN[4:]]

@@ -8,6 +8,7 @@ from collections import defaultdict, deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from functools import cache, partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -170,6 +171,9 @@ class RunSession:
         observations: names of those that are recorded of it.
     """
 
+    follows_all: ClassVar = False
+    """Whether the motion around the instrument is recorded of every run, not only where depth may tell nothing."""
+
     def __init__(
         self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, observations: Sequence[str] = RECORDED
     ) -> None:
@@ -217,7 +221,7 @@ class RunSession:
         run = self._runs.current
         with self.timed("follow"):
             # A run without an onset has no other observation.
-            if run is None or not (run.builder is None or (self.by_light and run.lit)):
+            if run is None or not (self.follows_all or run.builder is None or (self.by_light and run.lit)):
                 self._grip = None
             elif run.index == frame.frame.index:
                 self._grip = GripRecorder(frame) if frame.visible else None

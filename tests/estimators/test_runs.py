@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
+from palpate.api import open_estimator
 from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
 from palpate.estimators import runs as module
 from palpate.estimators.grip.grip_estimate import PullResult
@@ -16,7 +17,7 @@ from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import InteractionEstimate
 from palpate.estimators.runs import Run, RunTracker, frame_estimate
 from palpate.physics.mechanics import Mechanics
-from tests.estimators.sessions import State, clip_info, linked, prepared_frame, touched
+from tests.estimators.sessions import State, clip_info, follow, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
 
 MESH = sheet(5, 5)
@@ -197,3 +198,16 @@ def test_a_grip_that_is_not_explained_says_so() -> None:
     found = module.RunSession(clip_info(), Mechanics())._gripped(record, recorder, True)
     assert found.grip is grip
     assert found.detail == "No onset. A sheet gripped by the instrument doesn't explain the motion (skill 0.20)."
+
+
+@pytest.mark.parametrize(("name", "followed"), [("direct", True), ("network", False)])
+def test_motion_around_the_instrument_is_recorded_after_an_onset_that_was_seen(
+    name: str, followed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`direct` estimates a grip wherever the press is undetermined; `network` only where depth tells nothing."""
+    made = create_autospec(GripRecorder)
+    made.return_value.estimate.return_value = PullResult(0.5, -math.inf, *np.ones((3, 2)))
+    monkeypatch.setattr(module, "GripRecorder", made)
+    frames = linked([State("no_contact"), *[State("ok")] * 2], CONTACT)
+    (run,) = follow(open_estimator(name).start(clip_info()), frames)[1]
+    assert (run.onset_frame, made.called, run.grip is not None) == (1, followed, followed)

@@ -27,7 +27,7 @@ from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import PressSettings, onset_error
-from palpate.estimators.runs import RECORDED, WHOLE, Run, RunSession, frame_estimate
+from palpate.estimators.runs import RECORDED, WHOLE, RunSession, frame_estimate
 from palpate.observations.kinds import OBSERVATIONS
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics
@@ -106,6 +106,8 @@ class DirectEstimator(Estimator):
 class DirectSession(RunSession):
     """One clip: a record for every frame, and a fit for every run of contact."""
 
+    follows_all = True
+
     def __init__(self, estimator: DirectEstimator, clip: ClipInfo) -> None:
         settings, names = estimator.settings, estimator.settings.observation
         super().__init__(clip, estimator.mechanics, settings.horizon, tuple(dict.fromkeys((*RECORDED, *names))))
@@ -118,9 +120,6 @@ class DirectSession(RunSession):
         yield from self._ended(self._pushed(frame))
         self._follow(frame)
         yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)
-
-    def _follows(self, run: Run) -> bool:
-        return True
 
     def fit(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray]]:
         """Fit θ to one contact; gives the estimate and the simulated motion, as in `simulated_motion`.

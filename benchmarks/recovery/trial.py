@@ -51,7 +51,7 @@ from palpate.estimators.contract import ClipInfo, Estimator
 from palpate.estimators.direct.estimator import FITTED
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.records import InteractionEstimate
-from palpate.estimators.runs import RunTracker
+from palpate.estimators.run_tracker import RunTracker
 from palpate.estimators.session import estimates_of
 
 opened: Callable[[Any], Estimator] = functools.cache(lambda settings: settings.build())

@@ -169,7 +169,7 @@ def warnings_of(
     if sources["masks"] == "automatic":
         found.append(
             "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
-            "contact here means in view, until the instrument has moved and tissue did not move with it"
+            "contact is undecided there until the instrument or the tissue has moved"
         )
     for status in PERSISTENT:
         if hit := [frame for frame in frames if frame.status == status]:

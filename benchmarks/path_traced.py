@@ -112,7 +112,7 @@ class PathTraced(Measurements):
         return found
 
     def record(self) -> Mapping[str, Any]:
-        """What is given and which estimator: other results belong in another folder."""
+        """Inputs and estimator: other results belong in another folder."""
         return {"given": self.given, "estimator": self.estimator}
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:

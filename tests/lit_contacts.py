@@ -7,7 +7,7 @@ from palpate.data.shading.sequence import ShadingSequence
 from palpate.physics import Mesh, Observation, Press, grid_mesh, held
 
 FOCAL, DISTANCE, RADIUS = 160.0, 0.4, 12
-"""Of the camera [grid pixels], of the tissue [scene units], and rows from the contact to its rim."""
+"""Focal length [grid pixels], distance of the tissue [scene units], and rows from the contact to its rim."""
 
 
 def facing(distance: float = DISTANCE, focal: float = FOCAL, radius: int = RADIUS) -> tuple[Mesh, int]:

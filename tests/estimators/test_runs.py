@@ -58,7 +58,7 @@ def whole_clip_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[See
 
 
 def tracked_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[Run]:
-    """Of a tracker to which the frames are given one by one."""
+    """Runs of a tracker to which the frames are given one by one."""
     tracker = RunTracker(clip_info(bridge_frames=bridge_frames), SECONDS)
     found = [tracker.push(frame) for frame in frames] + [tracker.finish()]
     assert tracker.finish() is None

@@ -15,7 +15,7 @@ PLAIN = np.array([0.0, 0.0, 0.0, 0.0, np.log(0.53), np.log(0.1), np.log(0.13), 0
 
 
 def lit(tilt=(0.0, 0.0), rest: np.ndarray | None = None) -> LitSheet:
-    """Of tissue at z = 0.6, pressed at row 50 and column 80."""
+    """Sheet of tissue at z = 0.6, pressed at row 50 and column 80."""
     mesh = grid_mesh(back_project(np.full((120, 214), 0.6), CAMERA), np.ones((120, 214), bool))
     side = FINE * SIDE
     rest = np.zeros((3, side, side)) if rest is None else rest

@@ -101,7 +101,7 @@ def test_marginalised_amplitude_is_the_inverse_of_the_whole_covariance():
 
 
 def test_a_contact_in_which_nothing_moves_stays_a_step(problem, monkeypatch):
-    """As one of a single frame, whose force may have ended before it began."""
+    """So does one of a single frame, whose force may have ended before it began."""
     monkeypatch.setattr(problem.motion, "coarse", lambda _: np.zeros((4, 3)))
     logs = start(problem)
     problem.look(logs)

@@ -124,7 +124,9 @@ def _second_line(estimate: FrameEstimate) -> str:
     press, field = estimate.estimate, estimate.field
     if field is not None and field.verdict != "undetermined":
         return f"Stiffness against stretch, relative: red {RANGE:g} times the median, blue a {RANGE:g}th."
-    shown = [] if press is None else numbers(estimate.verdict, values_of(press.numbers))
+    shown = []
+    if press is not None:
+        shown = numbers(estimate.verdict, values_of(press.numbers) | {"determined": ";".join(press.determined)})
     if shown := [each for each in shown if "±" in each[1]] or shown:
         return "   ".join([*map(" ".join, shown), "(f, u: scene units)"])
     return estimate.detail or NOTES[state(estimate)].text

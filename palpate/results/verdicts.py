@@ -106,21 +106,21 @@ def rounded(value: float, half: float) -> str:
 def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return symbol, text and unit of every parameter, as sure as the verdict lets it be.
 
-    With half its 90 % interval after ± where it is determined, else the interval, and a dash where there is none. The
-    ratios are given where only they are determined; a model that doesn't say what is gets two digits.
+    With half its 90 % interval after ± where it is determined, else the interval, and a dash where there is none.
+    Ratios are given where only they, or one of them, are determined; a model that doesn't say what is gets two digits.
 
     Args:
         values: of a frame or a contact, by column; those in newtons have the columns of their units.
     """
-    found = []
+    found, single = [], (values.get("determined") or "").split(";") if verdict == "undetermined" else []
     for name in REPORTED:
         ratio = name not in PARAMETERS
         value, low, high = (values.get(f"{name}{end}") for end in ENDS)
-        if value is None or (ratio and verdict != "ratios"):
+        if value is None or (ratio and verdict != "ratios" and name not in single):
             continue
         text = f"≈ {digits(value, 2)}" if verdict == "onset_in_view" else "—"
         if low is not None and high is not None:
-            sure = ratio or verdict == "determined"
+            sure = ratio or verdict == "determined" or name in single
             text = rounded(value, (high - low) / 2) if sure else f"{digits(low, 2)} to {digits(high, 2)}"
         unit = (values.get(f"{name}_unit") or SCENE_UNITS[name]).partition(",")[0]
         found.append((SYMBOLS[name], text, unit))

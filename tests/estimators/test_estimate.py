@@ -77,6 +77,8 @@ def test_what_an_estimator_does_not_give_is_missing() -> None:
         (0.16 * np.eye(3), "determined", PARAMETERS),
         # The common scale is unknown, the ratios are known.
         (np.ones((3, 3)) + 0.01 * np.eye(3), "ratios", tuple(COMBINATIONS)[3:]),
+        # k_d and F follow k_s, apart from each other.
+        (0.3 * np.ones((3, 3)) + np.diag([0, 0.15, 0.15]), "ratios", tuple(COMBINATIONS)[3:5]),
         (np.diag([0.01, 4.0, 0.01]), "undetermined", ("stiffness", "force", "force_over_stiffness")),
     ],
 )

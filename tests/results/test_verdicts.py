@@ -34,6 +34,11 @@ def test_the_verdict_goes_before_the_status() -> None:
     [
         ("determined", VALUES, ["0.51 ± 0.32", "0.05 ± 0.18", "0.102 ± 0.012"]),
         ("undetermined", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
+        (
+            "undetermined",
+            VALUES | {"determined": "damping_over_stiffness"},
+            ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12", "0.100 ± 0.012"],
+        ),
         ("doubtful", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
         ("ratios", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12", "0.100 ± 0.012", "0.200 ± 0.035"]),
         ("undetermined", NO_INTERVAL, ["—", "—", "—"]),

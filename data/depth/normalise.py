@@ -9,16 +9,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import cv2
 import numpy as np
 
 from palpate.common.settings import Checked, Positive
+from palpate.data.depth.areas import ORDER, label_areas
 from palpate.data.depth.model import DepthModel, RawDepth
 from palpate.data.depth.photometric import PhotometricDepth
 from palpate.data.depth.preset import resolve_model
 from palpate.data.depth.sources import DepthSource, ModelDepth, StoredDepth
 from palpate.data.depth.stereo import StereoDepth
-from palpate.data.labels import OTHER, TISSUE, TOOL
 from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.layout import ClipLayout, InputError, matches
@@ -205,34 +204,16 @@ def resize_depth(depth: np.ndarray, labels: np.ndarray, size: Size = (120, 214))
     """
     if depth.ndim != 2 or depth.shape != labels.shape:
         raise ValueError(f"Depth {depth.shape} and labels {labels.shape} must be two maps of one size.")
-    order, members, shares = _shares(labels, size)
-    winner, valid, result = shares.argmax(axis=0), depth > 0, np.zeros(size, np.float32)
-    complete = bool(valid.all())
-    for index, (value, member) in enumerate(zip(order, members, strict=True)):
-        # Outside the camera's picture, after the removal of lens distortion.
-        if value == 255:
-            continue
-        usable = member if complete else member * valid
-        weight = shares[index] if complete else _resized(usable, size)
-        chosen = (winner == index) & (weight > 0) & (weight >= 0.5 * shares[index])
-        result[chosen] = _resized(depth * usable, size)[chosen] / weight[chosen]
-    return result, np.asarray(order, np.uint8)[winner]
+    sums = label_areas(depth, labels, size)
+    winner = sums[0].argmax(axis=0)
+    share, weight, total = np.take_along_axis(sums, winner[None, None], axis=1)[:, 0]
+    found, result = np.asarray(ORDER, np.uint8)[winner], np.zeros(size, np.float32)
+    # 255 is outside the camera's picture, after the removal of lens distortion.
+    chosen = (found != 255) & (weight > 0) & (weight >= 0.5 * share)
+    result[chosen] = total[chosen] / weight[chosen]
+    return result, found
 
 
 def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """The labels alone, as in `resize_depth`."""
-    order, _, shares = _shares(labels, size)
-    return np.asarray(order, np.uint8)[shares.argmax(axis=0)]
-
-
-def _shares(labels: np.ndarray, size: tuple[int, int]) -> tuple[list[int], list[np.ndarray], np.ndarray]:
-    """The labels that there are, where each is, float32 [H, W], and how much of every grid pixel, [labels, h, w]."""
-    order = [value for value in (TOOL, TISSUE, OTHER, 255) if (labels == value).any()]
-    members = [(labels == value).astype(np.float32) for value in order]
-    return order, members, np.stack([_resized(member, size) for member in members])
-
-
-def _resized(map_: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A map at a size (height, width): area average when shrinking, bilinear when enlarging."""
-    shrinking = size[0] <= map_.shape[0] and size[1] <= map_.shape[1]
-    return cv2.resize(map_, size[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)
+    return resize_depth(np.zeros(labels.shape, np.float32), labels, size)[1]

@@ -5,10 +5,11 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import av
 import numpy as np
+from av.video.reformatter import Interpolation, VideoReformatter
 
 
 @contextmanager
@@ -30,7 +31,7 @@ class Video:
         size: width and height of the pictures, even [px].
         fps: frames a second.
         crf: constant rate factor of H.264; lower is better.
-        preset: what of x264 trades time for size.
+        fast: coded in a third of the time, twice as large.
 
     Raises:
         OSError: the file can't be written (also from the methods), or PyAV lacks the encoder, which its wheels have.
@@ -38,13 +39,15 @@ class Video:
 
     encoder: Final = "libx264"
 
-    def __init__(self, path: Path, size: tuple[int, int], fps: float, crf: int = 21, preset: str = "veryfast") -> None:
+    def __init__(self, path: Path, size: tuple[int, int], fps: float, crf: int = 21, fast: bool = False) -> None:
         if self.encoder not in av.codecs_available:
             raise OSError(errno.ENOSYS, f"PyAV lacks the encoder {self.encoder}; install its wheel", str(path))
         self._container = av.open(str(path), "w", options={"movflags": "+faststart"})
         # The version of x264 for the processor codes the same pictures differently from time to time: it reads memory
         # that it has not written.
+        preset = "ultrafast" if fast else "veryfast"
         options = {"crf": str(crf), "preset": preset, "x264-params": "cpu-independent=1"}
+        self._reformatter = VideoReformatter() if fast else None
         rate = Fraction(fps).limit_denominator(1001)
         self._stream = self._container.add_stream(self.encoder, rate=rate, options=options)
         self._stream.width, self._stream.height = size
@@ -53,7 +56,11 @@ class Video:
     def write(self, picture: np.ndarray) -> None:
         """Append a picture, RGB uint8 [H, W, 3]."""
         with _as_os_error():
-            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            if self._reformatter is not None:  # less exact than the encoder's own conversion, in half the time
+                how: dict[str, Any] = {"interpolation": Interpolation.BILINEAR, "threads": 1}
+                frame = self._reformatter.reformat(frame, format=self._stream.pix_fmt, **how)
+            self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
         """Finish the file."""

@@ -31,11 +31,10 @@ def kernel(function: Callable, **others: Any) -> Callable:
         function: what is compiled.
         others: options of numba in place of those of OPTIONS.
     """
-    options = OPTIONS | others
     try:
-        compiled: Any = numba.njit(function, cache=True, **options)
+        compiled: Any = numba.njit(function, cache=True, **OPTIONS | others)
     except RuntimeError:  # "cannot cache function: no locator available"
-        return numba.njit(function, **options)
+        return numba.njit(function, **OPTIONS | others)
     compile_for, lock = compiled.compile, Path(compiled.stats.cache_path) / "lock"
 
     def alone(signature: Any) -> Any:

@@ -2,7 +2,6 @@
 
 sources      maps of stored files or of a network, and the constants that are frozen for a clip
 normalise    the one normalisation to the clip's fixed scale, and the grid
-areas        means over the grid's pixels, label by label
 model        any depth network as an ONNX file: input, session, meaning of its output
 stereo       depth of a stereo pair: rectified, matched, in metres
 preset       input and output conventions of a network, as YAML files in presets/

@@ -28,7 +28,8 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     Args:
         picture: sRGB in [0, 1], shape [h, w, 3] float32.
     """
-    red, green = (_linear(np.ascontiguousarray(picture[..., index])) for index in (0, 1))
+    channels = (np.ascontiguousarray(picture[..., index]) for index in (0, 1))
+    red, green = (np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4) for part in channels)
     # Blood absorbs green and blue, so red varies least with albedo; green helps where red saturates.
     brightness = 0.7 * red + 0.3 * green
     # Narrow highlights (opening) and narrow dark vessels (closing) are pulled in to within a factor of 1.2.
@@ -42,11 +43,6 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     return np.where(smooth > DARKEST, _falloff(smooth.shape) / np.sqrt(np.maximum(smooth, DARKEST)), 0).astype(
         np.float32
     )
-
-
-def _linear(channel: np.ndarray) -> np.ndarray:
-    """Linear light of a channel of sRGB in [0, 1]."""
-    return np.where(channel <= 0.04045, channel / 12.92, ((channel + 0.055) / 1.055) ** 2.4)
 
 
 @lru_cache(maxsize=4)

@@ -5,11 +5,11 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import av
 import numpy as np
-from av.video.reformatter import Interpolation, VideoReformatter
+from av.video.reformatter import VideoReformatter
 
 
 @contextmanager
@@ -45,9 +45,8 @@ class Video:
         self._container = av.open(str(path), "w", options={"movflags": "+faststart"})
         # The version of x264 for the processor codes the same pictures differently from time to time: it reads memory
         # that it has not written.
-        preset = "ultrafast" if fast else "veryfast"
-        options = {"crf": str(crf), "preset": preset, "x264-params": "cpu-independent=1"}
-        self._reformatter = VideoReformatter() if fast else None
+        options = {"crf": str(crf), "preset": "ultrafast" if fast else "veryfast", "x264-params": "cpu-independent=1"}
+        self._converter = VideoReformatter() if fast else None
         rate = Fraction(fps).limit_denominator(1001)
         self._stream = self._container.add_stream(self.encoder, rate=rate, options=options)
         self._stream.width, self._stream.height = size
@@ -57,9 +56,8 @@ class Video:
         """Append a picture, RGB uint8 [H, W, 3]."""
         with _as_os_error():
             frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-            if self._reformatter is not None:  # less exact than the encoder's own conversion, in half the time
-                how: dict[str, Any] = {"interpolation": Interpolation.BILINEAR, "threads": 1}
-                frame = self._reformatter.reformat(frame, format=self._stream.pix_fmt, **how)
+            if self._converter is not None:  # less exact than the encoder's own conversion, in half the time
+                frame = self._converter.reformat(frame, format="yuv420p", interpolation="BILINEAR", threads=1)
             self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:

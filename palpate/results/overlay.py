@@ -66,12 +66,9 @@ def _outline(canvas: np.ndarray, labels: np.ndarray, label: int, color: Color) -
     """Draw the smoothed outline of a label's mask; the mask is enlarged to the canvas."""
     height, width = canvas.shape[:2]
     mask = cv2.inRange(labels, label, label)
-    if not cv2.hasNonZero(mask):
-        return
     reach = 2 * max(1, round(width / mask.shape[1])) + 1
     smooth = cv2.blur(cv2.resize(mask, (width, height)), (reach, reach))
-    thick = cv2.threshold(smooth, 127, 255, cv2.THRESH_BINARY)[1]
-    contours = cv2.findContours(thick, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_KCOS)[0]
+    contours = cv2.findContours(cv2.inRange(smooth, 128, 255), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_KCOS)[0]
     cv2.drawContours(canvas, contours, -1, color, max(1, round(height / 320)), cv2.LINE_AA)
 
 

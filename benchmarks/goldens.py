@@ -46,7 +46,7 @@ Values = dict[str, float | str]
 
 @dataclass(frozen=True)
 class Goldens:
-    """What is computed."""
+    """Groups of results to compute."""
 
     group: tuple[Group, ...] = get_args(Group)
     """which"""

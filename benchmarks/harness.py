@@ -1,4 +1,4 @@
-"""What every evaluation shares: an experiment is a function from a case to dictionaries, and the rest stands here once.
+"""Parts that every evaluation shares: an experiment maps a case to dictionaries, and the rest stands here once.
 
 An `Experiment` is a frozen dataclass whose fields are its options. `run` reads them from the command line, does the
 cases that no earlier run has done, keeps every row of results as a line of results.jsonl, so that the same command
@@ -42,10 +42,10 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Report:
-    """What an experiment makes of its rows."""
+    """Summary that an experiment makes of its rows."""
 
     tables: Mapping[str, pd.DataFrame]
-    """By the name of their file."""
+    """Tables by the name of their file."""
     shown: Sequence[pd.DataFrame] = ()
     """Printed."""
     lines: Sequence[tuple[str, str]] = ()
@@ -56,7 +56,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What `run` runs. Its fields are options; it raises a ValueError where they don't belong together.
+    """Experiment that `run` runs. Its fields are options; it raises a ValueError where they don't belong together.
 
     A field `workers` is the number of processes; 0 = in this one, as without it.
     """
@@ -67,7 +67,7 @@ class Experiment:
     keys: ClassVar[tuple[str, ...]] = ("file",)
     """Fields of a row that tell it from all others."""
     work: ClassVar[Callable[[Any], list[Row]]]
-    """From a case to its rows, importable by its name; a case that breaks something has a row that says so."""
+    """Function from a case to its rows, importable by its name; a case that breaks something has a row that says so."""
     writes: ClassVar[Sequence[str]] = ("table.csv",)
     """Names of files that are known before the work, where no user's file may be."""
 
@@ -77,7 +77,7 @@ class Experiment:
         raise NotImplementedError
 
     def record(self) -> Mapping[str, Any]:
-        """What results depend on, as `Store` takes it."""
+        """Everything that results depend on, as `Store` takes it."""
         return {}
 
     def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Any], int]:
@@ -85,7 +85,7 @@ class Experiment:
         return [(self, key) for key in self.wanted if key not in done], len(self.wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
-        """What is written of all rows in the folder, which may be more than this run asks for."""
+        """Summaries written of all rows in the folder, which may be more than this run asks for."""
         raise NotImplementedError
 
 
@@ -167,7 +167,7 @@ class Store:
             if recorded.get(name, value) != value:
                 raise OutputError(f"{output}: holds results of another {name}; choose another --output.")
         self.rows: dict[tuple, Row] = {}
-        """By what tells them from others, in the order in which they came."""
+        """Rows by their key, in the order in which they came."""
         if self._results.exists():
             with writing(output):  # a killed run leaves a last line without its end
                 os.truncate(self._results, read_file(self._results, MOST_BYTES).rfind(b"\n") + 1)
@@ -242,7 +242,7 @@ def show(frame: pd.DataFrame) -> None:
 
 
 def attempted(work: Callable[[], Row]) -> Row:
-    """What some work gives, or why it gives nothing: what breaks on one case is a result, and the others go on."""
+    """Result of some work, or why it gives nothing: what breaks on one case is a result, and the others go on."""
     try:
         with interruptible():
             return work()
@@ -269,11 +269,11 @@ class Measurements(Experiment):
 
     @property
     def wanted(self) -> Mapping[str, Callable[[], Row]]:
-        """What is to be measured, by the name of each case, in the order of the table."""
+        """Measurements to make, by the name of each case, in the order of the table."""
         raise NotImplementedError
 
     def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Any], int]:
-        """Those without measures; what failed is tried again."""
+        """Cases without measures; what failed is tried again."""
         known, wanted = {name for (name,), row in done.items() if row.get("status", OK) == OK}, self.wanted
         return [(*self.keys, *case) for case in wanted.items() if case[0] not in known], len(wanted)
 

@@ -50,20 +50,20 @@ NETWORKS: dict[str, dict[str, Any]] = {
     "paper.yaml": {"channels": 1},
     "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
 }
-"""What differs from the generator's defaults."""
+"""Differences from the generator's defaults."""
 SIZES = (854, 480), (1280, 720)
 """Width and height of the synthetic videos [px]."""
 SCENES: tuple[dict[str, Any], ...] = (
     {"frames": 75, "onset_fraction": (0.2, 0.2), "press_seconds": (2.0, 2.0), "profile": "hold"},
     {"frames": 175, "onset_fraction": (0.1, 0.1), "action": "grip"},
 )
-"""What a synthetic video shows, one after the other."""
+"""Events of a synthetic video, one after the other."""
 SEED = 55
 
 
 @dataclass(frozen=True)
 class Timings:
-    """What is timed."""
+    """Videos and networks to time."""
 
     videos: tuple[Path, ...] = option((), positional=True, metavar="VIDEO")
     """videos in place of the synthetic ones and the networks"""

@@ -1,9 +1,9 @@
 """Presses that a path tracer drew, which shares no code with this project, compared with their truth.
 
-    python -m benchmarks.path_traced --data DIR [--given depth] --output runs/path_traced
+    python -m benchmarks.path_traced --data DIR [--given masks|depth] --output runs/path_traced
 
 DIR holds NAME.mp4 with NAME.truth.json, and for some the folder NAME with true masks and depth. `--given video` opens
-the MP4 alone, as a user has it; `--given depth` the folder. Lengths and forces count in the tissue's distance, which no
+the MP4 alone, as a user has it; `--given depth` the folder; `--given masks` the folder without its depth. Lengths and forces count in the tissue's distance, which no
 plain video tells. table.csv has the measures of every clip, summary.csv those of all: how often frames under a press
 are found and others aren't, and of every quantity how many clips determine it, the median error of its logarithm
 there, and how often its 90 % interval holds the truth.
@@ -34,10 +34,10 @@ TRUTH = ".truth.json"
 """Ending of the files of truth."""
 
 
-def measured(clip: Path, truth: Mapping[str, Any], name: str) -> Row:
-    """Frames of contact that are found, and errors of the first press that is."""
+def measured(clip: Path, truth: Mapping[str, Any], name: str, depth: str | None) -> Row:
+    """Frames of contact that are found, and errors of the first press that is; `depth` as in `open_clip`."""
     estimator = open_estimator(name)
-    stream = open_clip(clip, estimator)
+    stream = open_clip(clip, estimator, depth=depth)
     found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
     pressed = np.isin(np.arange(len(contact)), truth["contact_frames"])
@@ -86,7 +86,7 @@ class PathTraced(Measurements):
 
     data: Path
     """folder of the clips"""
-    given: Literal["video", "depth"] = "video"
+    given: Literal["video", "masks", "depth"] = "video"
     """what is given of each"""
     estimator: Literal["direct", "network"] = "direct"
     """which"""
@@ -103,15 +103,16 @@ class PathTraced(Measurements):
         found = {}
         for file in sorted(self.data.glob(f"*{TRUTH}")):
             name = file.name.removesuffix(TRUTH)
-            clip = self.data / (name if self.given == "depth" else f"{name}.mp4")
+            clip = self.data / (f"{name}.mp4" if self.given == "video" else name)
             if clip.exists():
-                found[name] = functools.partial(measured, clip, read_mapping(file, "a truth"), self.estimator)
+                depth = "photometric" if self.given == "masks" else None
+                found[name] = functools.partial(measured, clip, read_mapping(file, "a truth"), self.estimator, depth)
         if not found:
             raise InputError(f"{self.data} holds no NAME{TRUTH} beside its clip; give a folder of path-traced clips.")
         return found
 
     def record(self) -> Mapping[str, Any]:
-        """What is given and which estimator: other results belong in another folder."""
+        """Inputs and estimator: other results belong in another folder."""
         return {"given": self.given, "estimator": self.estimator}
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:

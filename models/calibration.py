@@ -1,4 +1,4 @@
-"""How a contact posterior's standard deviations become ones that hold, as found on validation clips."""
+"""Calibration of a contact posterior's standard deviations, as found on validation clips."""
 
 from dataclasses import dataclass
 

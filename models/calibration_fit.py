@@ -1,4 +1,4 @@
-"""Which widths make a posterior's intervals hold, from its errors on clips whose truth is known.
+"""Widths that calibrate a posterior's intervals, from its errors on clips whose truth is known.
 
 Errors are taken to have standard deviations scale · sd^power · σ^noise · (k_d/√k_s)^damping, with sd the network's own,
 σ the observation's as the network is given it, and the damping ratio as it estimates it, and a factor that is quadratic
@@ -27,7 +27,7 @@ LEAST_CLIPS = 100
 
 
 def fit_widths(estimates: np.ndarray, truths: np.ndarray, deviations: np.ndarray, log_noise: np.ndarray) -> Widths:
-    """What makes the 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones.
+    """Factors with which 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones.
 
     Args:
         estimates, truths: log |θ|, shape [n, 3].

@@ -14,7 +14,7 @@ from palpate.physics.mechanics import SIGNS, Bounds
 
 
 class PictureHead(nn.Module):
-    """What both heads share: the box of θ, and the picture's features in one vector.
+    """Base of both heads: the box of θ, and the picture's features in one vector.
 
     They come from a convolution without instance norm, which would leave the average pool nothing but zeros.
 

@@ -87,7 +87,7 @@ class ExportedModel:
 
     @property
     def provider(self) -> str:
-        """What of ONNX Runtime runs the network."""
+        """Execution providers of ONNX Runtime that run the network."""
         return provider_of(self._session)
 
     def run(self, values: Mapping[str, np.ndarray | None]) -> list[np.ndarray]:

@@ -25,7 +25,7 @@ COMMANDS = {name: f"palpate.cli.{name}" for name in OWN} | {
 }
 """Modules whose `main` takes a command's arguments."""
 EXTRAS = dict.fromkeys(("train", "export"), "train")
-"""What must be installed for some of them."""
+"""Extras that some of them need installed."""
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""What a script calls; `palpate infer`, `calibrate` and `plan` do the same for files and folders."""
+"""Functions for scripts; `palpate infer`, `calibrate` and `plan` do the same for files and folders."""
 
 from pathlib import Path
 from typing import Any

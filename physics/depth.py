@@ -73,7 +73,7 @@ class DepthSequence:
     """Depth around a contact over a run; N frames, S = 2·REACH + 1."""
 
     times: np.ndarray
-    """Since the onset, shape [N] [s]."""
+    """Times since the onset, shape [N] [s]."""
     change: np.ndarray
     """Depth less that at rest, the camera's motion taken off, the contact's pixel in the middle, shape [N, S, S],
     float32 [scene units]; not a number where no tissue is visible."""
@@ -86,7 +86,7 @@ class DepthSequence:
         return self.size[0] > grid_shape[1] or self.size[1] > grid_shape[0]
 
     def chosen(self, frames: np.ndarray) -> DepthSequence:
-        """Some of its frames: a mask [N] or indices."""
+        """Subset of its frames: a mask [N] or indices."""
         return dataclasses.replace(self, times=self.times[frames], change=self.change[frames])
 
 
@@ -145,7 +145,7 @@ class DepthLikelihood:
         """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
         self._walls = np.square(self._unevenness * self.patches.steepness(moved))
         self.blurs = self.patches.blurs(moved, self.covering)
-        """See `Patches`, shape [P, N, 2], or of no columns."""
+        """Changes as in `Patches.blurs`, shape [P, N, 2], or of no columns."""
         return change
 
     def look(
@@ -234,7 +234,7 @@ class DepthLikelihood:
 
     @property
     def counted(self) -> float:
-        """How many independent values of pixels that move were observed, by the last look."""
+        """Number of independent values of pixels that move, by the last look."""
         return float((self.seen & self.moving).sum()) / self.noise.correlated_in_time
 
     def singly(self, values: np.ndarray, used: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a contact's motion can tell about stiffness, damping and force: Fisher information, bound, verdict.
+"""Identifiability of stiffness, damping and force from a contact's motion: Fisher information, bound, verdict.
 
 Bini 2026 leaves the question open (section 5). For an observation d = Φ(θ) + noise of standard deviation σ in every
 coordinate the Fisher information of φ = (log k_s, log k_d, log |F|) is I = Σ (∂Φ/∂φ)ᵀ(∂Φ/∂φ)/σ², and no unbiased

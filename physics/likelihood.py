@@ -1,4 +1,4 @@
-"""How likely an observed motion is under the simulator, and what it tells: residual, Jacobian, information.
+"""Likelihood of an observed motion under the simulator: residual, Jacobian, information.
 
 φ = (log k_s, log k_d, log |F|), with F pressing.
 The noise is normal, so -log p(d|φ) = ½ Σ r² with the residual r = (Φ(φ) - d)/σ (Bini 2026, equation 14, with σ).
@@ -14,7 +14,7 @@ from palpate.physics.observation import Linearised, Observation
 
 
 class LeastSquares:
-    """What is explained by parameters, D of them: `_linearise` is what a kind of observation has of its own."""
+    """Base of nonlinear least-squares problems with D parameters; subclasses implement `_linearise`."""
 
     _known: tuple[np.ndarray, Linearised] | None = None
 
@@ -26,11 +26,11 @@ class LeastSquares:
         return known[1]
 
     def residual(self, logs: np.ndarray) -> np.ndarray:
-        """What is left, in standard deviations, shape [K]."""
+        """Residual in standard deviations, shape [K]."""
         return self.linearise(logs).residual
 
     def jacobian(self, logs: np.ndarray) -> np.ndarray:
-        """Its derivatives by the parameters, shape [K, D]."""
+        """Derivatives of the residual by the parameters, shape [K, D]."""
         return self.linearise(logs).jacobian
 
     def information(self, logs: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How a tool acts on tissue: it presses on a patch with a force, or it grips tissue and moves it.
+"""Loads of a tool on tissue: it presses on a patch with a force, or it grips tissue and moves it.
 
 Source: Bini 2026, section 3.3 (a force at the contact vertex, released after the first quarter) is the simplest
 `Press`. A `Grip` prescribes what a force would have to reach; the force is then the reaction.
@@ -23,7 +23,7 @@ class Press:
     """
 
     vertices: np.ndarray
-    """Where it acts, the contact vertex first, shape [P], int64. None of them is ever held."""
+    """Vertices on which it acts, the contact vertex first, shape [P], int64. None of them is ever held."""
     weights: np.ndarray
     """Share of the force on each, shape [P], sum 1."""
     direction: np.ndarray
@@ -42,7 +42,7 @@ class Press:
 
     @classmethod
     def at(cls, vertex: int, direction: np.ndarray, factor: np.ndarray) -> "Press":
-        """On one vertex."""
+        """Press on one vertex."""
         return cls(np.array([vertex], np.int64), np.ones(1), np.asarray(direction), np.asarray(factor, np.float64))
 
     @classmethod
@@ -97,7 +97,7 @@ class Grip:
     vertices: np.ndarray
     """The gripped ones, shape [G], int64."""
     displacement: np.ndarray
-    """Where each is after each step, from rest, shape [T, G, 3] [scene units]."""
+    """Displacement of each from rest after each step, shape [T, G, 3] [scene units]."""
 
     def __post_init__(self) -> None:
         _require_vertices(self.vertices)
@@ -146,7 +146,7 @@ def _ramp_integral(time: np.ndarray, rise: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PressShape:
-    """Over which patch a press acts, which way, and how its force comes and goes.
+    """Patch of a press, its direction, and rise and fall of its force.
 
     As it stands, a step along the normal on one vertex.
     """
@@ -156,9 +156,9 @@ class PressShape:
     offset: Pair = (0.0, 0.0)
     """Offset of the patch's middle from the contact vertex, rows and columns [grid pixels]."""
     rise: float = 0.0
-    """How long the force takes to rise to F [s]."""
+    """Time that the force takes to rise to F [s]."""
     fall: float = 0.0
-    """How long it takes to fall from F to nothing, before the load's end [s]."""
+    """Time that it takes to fall from F to nothing, before the load's end [s]."""
     lean: Pair = (0.0, 0.0)
     """Lean of the direction along which a positive F acts: its part along the surface, towards the picture's right and
     towards its lower side, over that along the normal."""

@@ -1,4 +1,4 @@
-"""What the simulated tissue is made of: integration constants, admissible parameters, and whether they are stable.
+"""Mechanics of the simulated tissue: integration constants, admissible parameters, and whether they are stable.
 
 Sources: Bini 2026, section 3.3, equation 9 and table 1 (constants), section 3.4.1 (admissible box).
 """
@@ -67,7 +67,7 @@ class Mechanics(Checked, group="mechanics."):
 
     @property
     def seconds(self) -> float:
-        """How long an observation may last: the horizon and half a step, to which time stamps are rounded [s]."""
+        """Longest duration of an observation: the horizon and half a step, to which time stamps are rounded [s]."""
         return (self.steps + 0.5) * self.time_step
 
     @property

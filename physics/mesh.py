@@ -85,7 +85,7 @@ def nearest_vertex(mesh: Mesh, point: np.ndarray) -> int:
 
 
 def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which simplex holds each point, or else is the least way off, and where in it that is.
+    """Simplex that holds each point, or else is the least way off, and where in it that is.
 
     Args:
         corners: of triangles in a plane or of tetrahedra, shape [F, D + 1, D]; none is flat.

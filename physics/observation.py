@@ -1,4 +1,4 @@
-"""What was observed of moving tissue: followed points, when, how far from rest, with what noise; likelihood of it."""
+"""Observation of moving tissue: followed points, when, how far from rest, with what noise; likelihood of it."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -14,7 +14,7 @@ class Linearised(NamedTuple):
     residual: np.ndarray
     """(Φ - d)/σ, shape [K]."""
     jacobian: np.ndarray
-    """Its derivatives by φ, shape [K, D]."""
+    """Derivatives of the residual by φ, shape [K, D]."""
 
     @property
     def misfit(self) -> float:
@@ -63,9 +63,9 @@ class Observation:
     vertices: np.ndarray
     """Mesh vertex that each point is, shape [M], int64."""
     times: np.ndarray
-    """Since the load began, ascending, shape [N] [s]."""
+    """Times since the load began, ascending, shape [N] [s]."""
     displacement: np.ndarray
-    """From rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not observed."""
+    """Displacements from rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not observed."""
     noise: np.ndarray
     """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]: across
     the line of sight it may be far smaller than along it. Not a number where it isn't known."""

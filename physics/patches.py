@@ -1,4 +1,4 @@
-"""Which of the mesh's vertices the pixels around a contact show while the tissue moves.
+"""Vertices of the mesh that the pixels around a contact show while the tissue moves.
 
 Every vertex carries the patch of tissue up to half-way to its neighbours, which sinks as the vertex does. A pixel shows
 the patch that has come to lie there; a pixel of the grid that is the mean of several of the picture shows the mean of
@@ -17,11 +17,11 @@ held all but a twentieth of what all determine, those up to 8 all but a hundredt
 MAX_SHIFT = 2
 """Patches that come from farther away than this are not known [grid pixels]."""
 ITERATIONS = 12
-"""To find what a sample shows; tissue that shifts by s grid pixels a pixel needs log(SETTLED)/log(s) of them."""
+"""Number of rounds to find what a sample shows; a shift of s grid pixels a pixel needs log(SETTLED)/log(s) of them."""
 EXACT = 1e-3
-"""No more of them once it has settled to this [grid pixels]."""
+"""Motion at which the rounds end [grid pixels]."""
 SETTLED = 0.05
-"""What still moves by more than this in the last of them lies in a fold [grid pixels]."""
+"""Largest motion in the last round outside folds [grid pixels]."""
 MAX_SAMPLES = 6
 """Most samples a pixel: in larger pictures as many places a pixel of the grid, evenly spread, stand for its pixels
 along an axis."""
@@ -99,12 +99,12 @@ class Patches:
         return dense
 
     def shift(self, moved: np.ndarray) -> np.ndarray:
-        """By how much displacements [N, V, 3] move the patches in the picture, shape [N, V, 2], rows and columns."""
+        """Shifts of the patches in the picture by displacements [N, V, 3], shape [N, V, 2], rows and columns."""
         across = moved[..., :2] - self._rays * moved[..., 2:]
         return (self._focal * across / (self._depth[:, None] + moved[..., 2:]))[..., ::-1]
 
     def sunk(self, moved: np.ndarray, some: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """By how much displacements [N, V, 3] change the depth of a pixel that the patch covers, shape [N, V].
+        """Change by displacements [N, V, 3] of the depth of a pixel that the patch covers, shape [N, V].
 
         A patch that shifts along sloping tissue changes it as well.
 
@@ -132,7 +132,7 @@ class Patches:
         return across[..., ::-1, :] - self.shift(moved)[..., None] * along / after
 
     def turning(self, moved: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """How the pixels' depth changes because they come to show other patches, where they are means of several.
+        """Change of the pixels' depth because they come to show other patches, where they are means of several.
 
         Args:
             moved, slopes: displacements [N, V, 3] and their derivatives [N, V, 3, D].
@@ -154,7 +154,7 @@ class Patches:
         return np.nan_to_num(-np.einsum("npi,npij,npjd->npd", gradient[..., 0, :], inverse, shifting))
 
     def steepness(self, moved: np.ndarray) -> np.ndarray:
-        """How much its neighbours differ from a pixel, where it is the mean of several, at displacements [N, V, 3].
+        """Difference of its neighbours from a pixel, where it is the mean of several, at displacements [N, V, 3].
 
         Root mean square along an axis, shape [N, P]; 0 where a pixel of the grid is one of the picture.
         """
@@ -166,7 +166,7 @@ class Patches:
         return np.sqrt(0.5 * np.square(np.nan_to_num(found[:, 1:] - found[:, :1])).sum(axis=1))
 
     def _at_rest(self, moved: np.ndarray) -> np.ndarray:
-        """Where what the pixels' middles show lay at rest, shape [N, P, 2]; themselves in folds, and out of sight."""
+        """Places at rest of what the pixels' middles show, shape [N, P, 2]; themselves in folds, and out of sight."""
         middle = np.mgrid[: self._side, : self._side].reshape(2, -1).T + float(MAX_SHIFT)
         place = _settled(self._dense(self.shift(moved)), middle)
         return np.where(np.isfinite(place), place, middle)
@@ -176,7 +176,7 @@ class Patches:
         return _nearest(self._sampled(moved), self._number()).reshape(len(moved), *self.weights.shape)
 
     def blurs(self, moved: np.ndarray, covering: np.ndarray) -> np.ndarray:
-        """What pixels that are means show otherwise if tissue sinks linearly between vertices, and if depth is blurred.
+        """Change of pixels that are means if tissue sinks linearly between vertices, and if depth is blurred.
 
         Args:
             moved: displacements [N, V, 3].
@@ -197,7 +197,7 @@ class Patches:
         return np.nan_to_num(found).swapaxes(0, 1)
 
     def _sampled(self, moved: np.ndarray) -> np.ndarray:
-        """Where what the samples show lay at rest, shape [N, P·K, 2].
+        """Places at rest of what the samples show, shape [N, P·K, 2].
 
         Between vertices the tissue shifts as they do, in proportion, so that what a sample shows lay at rest where the
         shift there leads to the sample.
@@ -223,7 +223,7 @@ class Patches:
 
 
 def footprint(cells: np.ndarray, count: int, pixels: int, parts: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Where along one axis the pixels lie whose mean some cells of the grid are, and their shares, shapes [C, K] each.
+    """Places along one axis of the pixels whose mean some cells of the grid are, and their shares, shapes [C, K] each.
 
     Args:
         cells: indices, shape [C].
@@ -290,7 +290,7 @@ def between(values, place):
 
 @kernel
 def _settled(shift, samples):
-    """Where what samples show lay at rest, shape [N, Q, 2]; not a number in folds, and out of sight.
+    """Places at rest of what samples show, shape [N, Q, 2]; not a number in folds, and out of sight.
 
     Args:
         shift: on the square, by rows and columns, shape [N, S, S, 2].

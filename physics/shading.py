@@ -1,4 +1,4 @@
-"""How bright tissue is under a light at the camera, as an endoscope's is: it darkens as it tilts or goes away.
+"""Brightness of tissue under a light at the camera, as an endoscope's is: it darkens as it tilts or goes away.
 
 A matt surface of albedo ρ sends back I = gain·ρ·cos θ/r², with θ between its normal and the line of sight and r its
 distance from lens and lamp. Between two instants the albedo of a tissue point cancels, so that the logarithm of their

@@ -19,7 +19,7 @@ class Equilibrium:
     """A sheet at rest under a grip; N nodes, G gripped nodes, A axes."""
 
     displacement: np.ndarray
-    """From where nothing is pulled, shape [N, A], in the unit of the grip's motion."""
+    """Displacement from where nothing is pulled, shape [N, A], in the unit of the grip's motion."""
     matrix: csr_array
     """K, shape [N, N] [unit of stiffness]."""
     gripped: np.ndarray
@@ -34,7 +34,7 @@ class Equilibrium:
 def equilibrium(
     springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray, gripped: np.ndarray, motion: np.ndarray
 ) -> Equilibrium:
-    """Where a sheet comes to rest when some of its nodes are held at a displacement.
+    """Equilibrium of a sheet when some of its nodes are held at a displacement.
 
     Args:
         springs: node indices, shape [S, 2].

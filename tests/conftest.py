@@ -75,7 +75,7 @@ def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def blank_module() -> Iterator[None]:
-    """The same for the results that a module's tests share."""
+    """Blank pictures for the results that a module's tests share."""
     with pytest.MonkeyPatch.context() as patch:
         draw_nothing(patch)
         yield

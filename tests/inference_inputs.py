@@ -142,7 +142,7 @@ def write_clip(folder: Path, frames: int = 8, onset: int = 4, *, first: int = 10
 
 
 def write_video(path: Path, frames: int = 8, onset: int = 4, fps: float = 25.0) -> Path:
-    """The same clip's images as a video file."""
+    """Write that clip's images as a video file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, SIZE)
     for index in range(frames):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.online.sequences import NOISE, SEQUENCES, SIDE, Pull
 
 TURN, SHIFT = Rotation.from_euler("xyz", (40, -25, 110), degrees=True).as_matrix(), np.array([0.4, -0.1, 0.25])
-"""Of the simulated sheet in the robot's frame; the camera stands half a metre above it."""
+"""Pose of the simulated sheet in the robot's frame; the camera stands half a metre above it."""
 EYE = np.array([[1, 0, 0, 0.06], [0, -1, 0, 0.06], [0, 0, -1, 0.5], [0, 0, 0, 1]])
 """Pose of the camera in the sheet's own frame."""
 FPS = 10.0

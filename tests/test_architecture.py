@@ -334,10 +334,10 @@ def docstrings(path: Path) -> Iterator[tuple[int, str]]:
 
 def test_docstrings_begin_with_what_they_describe() -> None:
     """Each makes sense alone, as a tooltip."""
-    opening = re.compile(r"(?:Of|Likewise|That|The same|As)\b|(?s:.*)\b[Aa]s of\b")
+    opening = re.compile(r"(?:Of|Likewise|That|The same|As|Whoever)\b|(?s:.*)\b[Aa]s of\b")
     vague = [
         f"{name_of(path)}, line {line}: {text[:60]}"
-        for path in modules().values()
+        for path in (*modules().values(), *(ROOT / "tests").rglob("*.py"))
         for line, text in docstrings(path)
         if opening.match(text)
     ]

@@ -166,7 +166,7 @@ SPOILT: dict[str, tuple[str, Change, str]] = {
     "no tissue": ("_color_mask", without(inputs.TISSUE_COLOR), "no_tissue"),
     "three pixels of tissue": ("_color_mask", without(inputs.TISSUE_COLOR, 3), "no_tissue"),
 }
-"""What is changed of frame 13's files, and the frame's status then."""
+"""Changes of frame 13's files, and the frame's status then."""
 
 
 def test_unusable_frame_costs_only_its_own_row(clips, model, capsys):

@@ -75,7 +75,7 @@ def test_a_reversed_force_is_a_sentence(tmp_path, capsys):
 
 
 def test_where_nothing_is_determined_no_number_is_given(tmp_path, capsys, monkeypatch):
-    """As a reversed force gave once: 4.6 GPa, from nothing to infinity."""
+    """A reversed force once gave 4.6 GPa, from nothing to infinity."""
 
     def fit(skin: Skin, held: np.ndarray, palpations: list[Palpation], *_: object, **__: object) -> MaterialFit:
         (each,) = palpations

@@ -55,7 +55,7 @@ def commands() -> list[str]:
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files of all names that the guide uses."""
     folder = tmp_path_factory.mktemp("guide")
-    for name in ("clip", "clips/one", "more_clips/one", "datasets/cholecseg8k/video01/video01_00080"):
+    for name in ("clip", "clips/one", "datasets/cholecseg8k/video01/video01_00080"):
         write_clip(folder / name)
     shutil.copytree(folder / "datasets" / "cholecseg8k", folder, dirs_exist_ok=True)
     lens = {"fx": 140.0, "fy": 140.0, "cx": 79.5, "cy": 47.5, "width": SIZE[0], "height": SIZE[1], "baseline": 0.005}

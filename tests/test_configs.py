@@ -105,7 +105,7 @@ def test_every_shipped_configuration_builds_model_data_and_trainer(load, path: P
 
 
 def test_paper_configuration_is_the_paper_s(load):
-    """As built; its fields are compared with what the paper states below."""
+    """The configuration as built; its fields are compared with what the paper states below."""
     cli = load(CHECKOUT / "configs" / "paper.yaml")
     networks = (cli.model.generator_ab, cli.model.discriminator_b)
     assert abs(sum(p.numel() for net in networks for p in net.parameters()) / 15.2e6 - 1) < 0.02

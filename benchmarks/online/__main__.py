@@ -44,7 +44,7 @@ def follow(case: "tuple[Online, Key]") -> list[Row]:
 
 @dataclass(frozen=True)
 class Online(Experiment):
-    """What is run."""
+    """Cases to run."""
 
     sequences: tuple[SequenceName, ...] = get_args(SequenceName)
     """which"""
@@ -95,7 +95,7 @@ class Online(Experiment):
         return [key for key in every if key[2] != BATCH or not SEQUENCES[key[0]].block]
 
     def record(self) -> Mapping[str, Any]:
-        """What the results depend on."""
+        """Everything that the results depend on."""
         names = ("match", "optimizer", "particles", "points", "every")
         found = {name: getattr(self, name) for name in names}
         return found | {f"frames of {name}": count for name, count in self.frames_of.items()}

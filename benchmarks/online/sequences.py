@@ -41,7 +41,7 @@ State = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """What is simulated and observed of one; N particles, T frames, m points, P followed ones."""
+    """One simulated sequence and its observations; N particles, T frames, m points, P followed ones."""
 
     body: Body
     gripped: np.ndarray
@@ -55,18 +55,18 @@ class Pull:
     shares: csr_array
     """Followed points among the particles, shape [P, N]."""
     tracks: np.ndarray
-    """Where they are observed, shape [T, P, 3] [m]."""
+    """Observed places, shape [T, P, 3] [m]."""
     points: np.ndarray
-    """Where they truly are, at rest and in every frame, shape [T + 1, P, 3] [m]."""
+    """True places, at rest and in every frame, shape [T + 1, P, 3] [m]."""
     keypoints: np.ndarray
-    """Which of these are keypoints, shape [15]."""
+    """Indices of the keypoints, shape [15]."""
     stiffness: np.ndarray
     """True relative stiffness at the particles, shape [N]."""
     truth: np.ndarray
-    """Where they truly are, shape [T, N, 3] [m]."""
+    """True places, shape [T, N, 3] [m]."""
 
     def matches(self, frame: int, kind: str) -> list[Match]:
-        """What the estimator is given of a frame: `chamfer`, `tracks` or `both`."""
+        """Observations that the estimator is given of a frame: `chamfer`, `tracks` or `both`."""
         found: list[Match] = []
         if kind != "tracks":
             found.append(Chamfer(self.clouds[frame], self.visible))
@@ -91,7 +91,7 @@ class Sequence:
     way: Callable[[np.ndarray], np.ndarray]
     """Displacement of the gripper at shares of the time [S], shape [S, 3] [m]."""
     stiff: Callable[[np.ndarray], np.ndarray]
-    """Which places at rest [P, 3] are stiff, bool [P]."""
+    """Mask of stiff places at rest [P, 3], bool [P]."""
 
     def pull(self, particles: int, points: int, frames: int) -> Pull:
         """Simulate and observe; always the same.

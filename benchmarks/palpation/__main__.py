@@ -26,7 +26,7 @@ from palpate.physics.fem.meshing import around
 YOUNG, POISSON = 1e4, 0.42
 """The truth [Pa]."""
 PLACE = {"ball": (0.35, 0.5), "slab": (0.6, 0.5)}
-"""Where is pressed, as `Body.contact` takes it: where the Cramér–Rao bound asks for the fewest pictures."""
+"""Place to press, as `Body.contact` takes it: where the Cramér–Rao bound asks for the fewest pictures."""
 
 FORCES = (0.3, 0.4, 0.5)
 """Forces of the presses, one step after the other as the paper's robot does [N]: laws part where a body is dented by
@@ -94,7 +94,7 @@ def fit_from(body: str, sensor: str, start: float, pictures: int) -> Row:
 
 
 def fit_six(name: str) -> Row:
-    """How far E differs between the six forces, one palpation each."""
+    """Spread of E between the six forces, one palpation each."""
     fits = []
     for number, force in enumerate(SIX):
         observed = observe(*true_press(name, force), "stereo", SEED + 10 + number)

@@ -48,7 +48,7 @@ def scene_files(surface: tuple[np.ndarray, np.ndarray], observed: Palpation, hel
 
 @dataclass(frozen=True)
 class Example:
-    """Where it goes."""
+    """Output folder."""
 
     output: Path
     """folder of the example"""

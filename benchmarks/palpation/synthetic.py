@@ -128,7 +128,7 @@ def press(
 def observe(
     skin: Skin, rest: Equilibrium, force: np.ndarray, contact: np.ndarray, sensor: str, seed: int, count: int = 20_000
 ) -> Palpation:
-    """What a sensor next to the tool observes: points that face its eye, off by its noise, and its believed pose.
+    """Observation of a sensor next to the tool: points that face its eye, off by its noise, and its believed pose.
 
     The tool hides what is within its radius of the contact. A depth picture of 640 × 480 shows a body of 10 cm at 30 cm
     in about 20,000 points, evenly over its solid angle; each is off along the line from the eye.

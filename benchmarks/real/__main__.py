@@ -1,4 +1,4 @@
-"""What can be said on real clips, judged on what was kept back from the fit.
+"""Evaluation on real clips, judged on frames kept back from the fit.
 
     python -m benchmarks.real --data DIR --output OUT
     python -m benchmarks.real --pulled CLIP [--layout YAML] [--masks FILE] --output OUT
@@ -85,7 +85,7 @@ KNOWN = {
 
 @dataclass(frozen=True)
 class Real(Measurements):
-    """What is judged."""
+    """Clips to judge."""
 
     data: Path | None = None
     """folder of the known clips"""
@@ -109,7 +109,7 @@ class Real(Measurements):
 
     @functools.cached_property
     def clips(self) -> dict[str, PulledClip]:
-        """By their names."""
+        """Clips by their names."""
         found: dict[str, PulledClip] = {}
         if self.data is not None:
             below = {name: PulledClip(self.data / clip.path, clip.layout_file) for name, clip in KNOWN.items()}
@@ -120,11 +120,11 @@ class Real(Measurements):
 
     @property
     def wanted(self) -> dict[str, Callable[[], Row]]:
-        """What judges each clip, by its name."""
+        """Judge of each clip, by its name."""
         return {name: functools.partial(evaluate_pull, clip) for name, clip in self.clips.items()}
 
     def record(self) -> Mapping[str, Any]:
-        """What the results depend on."""
+        """Everything that the results depend on."""
         return {f"clip {name}": repr(clip) for name, clip in self.clips.items()}
 
 

@@ -1,4 +1,4 @@
-"""How well θ is recovered on synthetic clips whose truth is known.
+"""Recovery of θ on synthetic clips whose truth is known.
 
 suites      the kinds of clips, and their seeds
 trial       one clip against its truth, whatever moves its tissue

@@ -1,4 +1,4 @@
-"""What a contact could have shown at best: Fisher information of its dent at the truth.
+"""Cramér–Rao bounds of a contact: Fisher information of its dent at the truth.
 
 All on the true mesh and at the true instants, with two delays of the press as further parameters
 (`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them.

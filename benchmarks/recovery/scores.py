@@ -1,4 +1,4 @@
-"""From results to numbers: errors in logarithms against the Cramér–Rao bound, and `table.csv`.
+"""Scores of results: errors in logarithms against the Cramér–Rao bound, and `table.csv`.
 
 Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of the sequence of its dent with
 the sequence's own noise. `constant_rmse_log` is the error of the best constant for exactly the clips of a row, their
@@ -26,7 +26,7 @@ COLUMNS = (
 )  # fmt: skip
 
 TO_QUANTITIES = np.vstack((np.eye(3), RATIOS))
-"""From log θ to the logarithms of QUANTITIES, shape [5, 3]."""
+"""Matrix from log θ to the logarithms of QUANTITIES, shape [5, 3]."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ class Suite:
     """One way to observe, or to spoil, the clips of a split; suites.yaml says what its fields mean."""
 
     of: str
-    """What moves the tissue: `press` or `grip`, on a sheet."""
+    """Load that moves the tissue: `press` or `grip`, on a sheet."""
     name: str
     reason: str
     errors: Mapping[str, Any]
@@ -37,7 +37,7 @@ class Suite:
     turns: Sequence[Sequence[Mapping[str, Any]]]
 
     def truth_settings(self, index: int, size: tuple[int, int] = GRID_SIZE) -> SceneSettings:
-        """What the truth of clip `index` is drawn from, without errors that leave it as it is.
+        """Settings from which the truth of clip `index` is drawn, without errors that leave it as it is.
 
         Args:
             size: width and height of pictures of presses on a sheet [px].
@@ -66,7 +66,7 @@ def _read() -> Iterator[Suite]:
 EVERY = {suite.name: suite for suite in _read()}
 """All suites by name, in the order of tables."""
 SUITES = {name: suite for name, suite in EVERY.items() if suite.of == "press"}
-"""Those of presses on a sheet."""
+"""Suites of presses on a sheet."""
 
 
 def suite_clip_seed(split: str, seed: int, index: int) -> int:

@@ -51,18 +51,18 @@ from palpate.estimators.contract import ClipInfo, Estimator
 from palpate.estimators.direct.estimator import FITTED
 from palpate.estimators.oblique import is_oblique
 from palpate.estimators.records import InteractionEstimate
-from palpate.estimators.runs import RunTracker
+from palpate.estimators.run_tracker import RunTracker
 from palpate.estimators.session import estimates_of
 
 opened: Callable[[Any], Estimator] = functools.cache(lambda settings: settings.build())
 """Every estimator is opened once a process."""
 Compare = Callable[[Any], Row]
-"""From what a session says of a clip to what is known then."""
+"""Function from a session's answer on a clip to what is known then."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What one worker does in one go."""
+    """Work of one worker in one go."""
 
     index: int
     seed: int
@@ -127,7 +127,7 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Any]) -> list
 
 
 def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
-    """What holds for all estimators, and what makes a row of an answer; None where nothing can be compared."""
+    """Facts that hold for all estimators, and what makes a row of an answer; None where nothing can be compared."""
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
         return {}, functools.partial(gripped, clip.scene, motion)
@@ -144,7 +144,7 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
 
 
 def estimated(candidate: Any, clip: TrueClip, compare: Compare) -> Row:
-    """What becomes of an estimator's answer, or why there is none."""
+    """Outcome of an estimator's answer, or why there is none."""
     start = time.perf_counter()
 
     def answered() -> Row:
@@ -156,7 +156,7 @@ def estimated(candidate: Any, clip: TrueClip, compare: Compare) -> Row:
 
 
 def _pressed(onset: int, answer: list) -> Row:
-    """What is estimated of the press whose contact begins in a frame."""
+    """Estimate of the press whose contact begins in a frame."""
     runs = [item for item in answer if isinstance(item, InteractionEstimate)]
     run = next((item for item in runs if item.onset == onset), None)
     if run is None or run.estimate is None:

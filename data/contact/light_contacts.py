@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Sequence
 from functools import cache
 
-import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd
@@ -19,15 +18,15 @@ from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.contact.lit_frame import ARRIVED, REACH, LitFrame, centre, darkest, darkness_of, lie_together
 from palpate.data.prepared import PreparedFrame
-from palpate.data.shading.light import FINE, log_light
+from palpate.data.shading.light import FINE, brightness, log_light
 from palpate.data.shading.registration import Registration, View
-from palpate.data.shading.sequence import RestingLight, change_of_light
+from palpate.data.shading.sequence import DARKER, RestingLight, change_of_light, smoothed
 from palpate.data.source.camera import Camera
 
 SHADOW, SHADOWS = 1.5, 8
 """What has darkened next to an instrument while it moved is its shadow: a dent is darker, by this factor, than in the
 last so many frames in which one moved."""
-DARKER, CLEAR = 0.04, 6.0
+CLEAR = 6.0
 """A dent is at least so much darker than at rest, as a logarithm, and by so many standard deviations of the noise."""
 FIRST, FEWEST_REST = 6, 3
 """So many frames are waited for at first, of which the earliest, so many, are taken to show tissue at rest."""
@@ -207,18 +206,10 @@ class LightContacts:
 
     def _compare(self, lit: LitFrame) -> None:
         """Look for a dent next to an instrument, or where one was."""
-        change = change_of_light(lit.make_light(), self._rest.median())
+        change = change_of_light(brightness(lit.make_light()), brightness(self._rest.median()))
         if change is None:
             return
-        # What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out.
-        change[cv2.dilate((change < -1.2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0] = np.nan
-        known = np.isfinite(change).astype(np.float32)
-        # Standard deviation of the weights with which changes are averaged [grid pixels].
-        weights, sums = (
-            cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * 1.0) for part in (known, np.nan_to_num(change))
-        )
-        # This share of the weights must lie on tissue.
-        mean = np.where(weights >= 0.3, sums / np.maximum(weights, 1e-6), np.nan)
+        mean = smoothed(change)
         # Far from an instrument the change's noise is measured.
         far = mean[(lit.away > 12.0) & np.isfinite(mean)]
         noise = median_sd(far) if far.size else math.inf

@@ -26,7 +26,7 @@ def not_tissue(labels: np.ndarray, width: int) -> np.ndarray:
 
 
 def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, int]) -> np.ndarray:
-    """Logarithm of the light of red and green on a lattice, means over areas of the picture, float32.
+    """Logarithms of red, green and blue light on a lattice, means over areas of the picture, float32.
 
     Args:
         picture: RGB, uint8 [H, W, 3], free of distortion.
@@ -34,7 +34,7 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
         grid_shape: rows and columns of the grid that the lattice divides.
 
     Returns:
-        Shape [FINE·h, FINE·w] for a grid [h, w]; not a number where no tissue is seen, or only a highlight.
+        Shape [3, FINE·h, FINE·w] for a grid [h, w]; not a number where no tissue is seen, or only a highlight.
     """
     size = FINE * grid_shape[1], FINE * grid_shape[0]
     red, green, blue = cv2.split(cv2.resize(cv2.LUT(picture, SRGB), size, interpolation=cv2.INTER_AREA))
@@ -49,6 +49,11 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
     # Highlights are whiter than what is around.
     highlight = ((hue - around > 0.12) & ~unknown).astype(np.uint8)
     unknown |= cv2.dilate(highlight, np.ones((3, 3), np.uint8)) > 0
-    found = np.log(np.maximum(light, DARKEST))
-    found[unknown] = np.nan
+    found = np.log(np.maximum(np.stack([red, green, blue]), 0.3 * DARKEST))
+    found[:, unknown] = np.nan
     return found
+
+
+def brightness(light: np.ndarray) -> np.ndarray:
+    """Logarithm of the mean of red and green, from those of the colours [3, h, w], shape [h, w]."""
+    return np.log(np.exp(light[:2]).mean(axis=0))

@@ -10,11 +10,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd
 from palpate.data.prepared import PreparedFrame
-from palpate.data.shading.light import FINE
+from palpate.data.shading.light import FINE, brightness
 from palpate.data.shading.registration import View
 
 REACH = 7
@@ -27,6 +28,10 @@ PLACES = (np.arange(SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
 """Their rows, or columns, from the contact, shape [SIDE] [grid pixels]."""
 KEPT = 8
 """Frames before a contact whose median is the light at rest."""
+FAR = 40
+"""A dent may lie so far from where its contact was detected [grid pixels]."""
+DARKER = 0.04
+"""A press darkens tissue by more [logarithm of light]."""
 SPARSE = 3
 """Every so many places along an axis tell the gain."""
 
@@ -38,11 +43,14 @@ class ShadingSequence:
     times: np.ndarray
     """Since the onset, shape [N] [s]."""
     light: np.ndarray
-    """Logarithm of the light, gain taken off, shape [N, L, L], float32; not a number where no tissue is seen."""
+    """Logarithms of red, green and blue, gains taken off, shape [N, 3, L, L], float32; not a number where no tissue
+    is seen."""
     rest: np.ndarray
-    """Light at rest, shape [L, L]."""
-    noise: float
-    """Standard deviation of the difference of light and rest where tissue is still."""
+    """Light at rest, shape [3, L, L]."""
+    noise: np.ndarray
+    """Standard deviation of the difference of light and rest where tissue is still, by colour, shape [3]."""
+    aside: tuple[int, int] = (0, 0)
+    """Rows and columns from the detected contact to the square's middle, not 0 where the dent lies elsewhere."""
 
     def chosen(self, frames: np.ndarray) -> ShadingSequence:
         """Some of its frames: a mask [N] or indices."""
@@ -77,7 +85,7 @@ def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
     """Logarithm of light over that at rest, gain and slow changes taken off; None where they aren't known.
 
     Args:
-        light, rest: as in `log_light`, of one shape [h, w].
+        light, rest: of the same quantity, e.g. `brightness`, shape [h, w].
     """
     rows, columns = (np.arange(size, dtype=np.float32) / max(rest.shape) for size in rest.shape)
     change = light - rest
@@ -88,6 +96,23 @@ def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
         return None
     gain = found[0].astype(np.float32)
     return change - (gain[0] + gain[1] * rows)[:, None] - gain[2] * columns
+
+
+def smoothed(change: np.ndarray) -> np.ndarray:
+    """Mean change of the light around every place of the lattice, shape [h, w]; not a number where little tissue shows.
+
+    Args:
+        change: logarithm of light over that at rest, shape [h, w].
+    """
+    # What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out.
+    instrument = cv2.dilate((change < -1.2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    known = np.isfinite(change) & ~instrument
+    # Standard deviation of the weights with which changes are averaged [grid pixels].
+    weights, sums = (
+        cv2.GaussianBlur(part.astype(np.float32), (0, 0), FINE * 1.0) for part in (known, np.where(known, change, 0))
+    )
+    # This share of the weights must lie on tissue.
+    return np.where(weights >= 0.3, sums / np.maximum(weights, 1e-6), np.nan)
 
 
 class RestingLight:
@@ -120,7 +145,7 @@ class RestingLight:
 
 
 def _median(frames: np.ndarray) -> np.ndarray:
-    """Return `numpy.nanmedian` of a few arrays [K, h, w] along their first axis, in a fraction of the time."""
+    """Return `numpy.nanmedian` of a few arrays [K, …] along their first axis, in a fraction of the time."""
     ordered, known = np.sort(frames, axis=0), np.isfinite(frames).sum(axis=0)  # what isn't a number comes last
     below, above = (
         np.take_along_axis(ordered, np.maximum(at, 0)[None], axis=0)[0] for at in ((known - 1) // 2, known // 2)
@@ -131,48 +156,81 @@ def _median(frames: np.ndarray) -> np.ndarray:
 class ShadingRecorder:
     """Gathers the shading sequence of one run of contact.
 
+    A mask that ends before its instrument does puts the contact in a wrong place. Then the dent shows elsewhere once
+    the instrument has let go, and the sequence is that of the light around the dent.
+
     Args:
         rest: light at rest, as in `log_light`.
         pixel: row and column of the contact in the onset's frame [grid pixels].
         view: in which the onset's light lies; None = the frame's own, of a camera that stands still.
+        pixels: rows and columns that a dent may have, shape [V, 2]; None = the contact's alone.
     """
 
-    def __init__(self, rest: np.ndarray, pixel: np.ndarray, view: View | None = None) -> None:
+    def __init__(
+        self, rest: np.ndarray, pixel: np.ndarray, view: View | None = None, pixels: np.ndarray | None = None
+    ) -> None:
+        self._offsets = np.zeros((1, 2), np.int64) if pixels is None else np.asarray(pixels, np.int64) - pixel
         pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
         self._reference = None if view is None else view.reference
-        first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
-        self._window = tuple(np.ix_(first[0] + np.arange(SIDE), first[1] + np.arange(SIDE)))
-        self._inside = (self._window[0] >= 0) & (self._window[0] < rest.shape[0])
-        self._inside = self._inside & (self._window[1] >= 0) & (self._window[1] < rest.shape[1])
+        first, wide = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN), SIDE + 2 * FINE * FAR
+        self._window = tuple(np.ix_(*(begin - FINE * FAR + np.arange(wide) for begin in first)))
+        height, width = rest.shape[1:]
+        self._inside = (self._window[0] >= 0) & (self._window[0] < height)
+        self._inside = self._inside & (self._window[1] >= 0) & (self._window[1] < width)
         self._rest = self._cut(rest)
-        rows, columns = (part.ravel() for part in np.mgrid[: rest.shape[0] : SPARSE, : rest.shape[1] : SPARSE])
+        rows, columns = (part.ravel() for part in np.mgrid[:height:SPARSE, :width:SPARSE])
         far = (np.abs(np.stack([rows, columns]) - first[:, None] - SIDE // 2) > SIDE // 2).any(axis=0)
-        self._far = rows[far], columns[far]
+        self._far = slice(None), rows[far], columns[far]
         self._far_rest = rest[self._far]
-        self._places = np.stack(self._far, axis=1) / max(rest.shape)
-        self._middle = np.stack(np.broadcast_arrays(1.0, *(part / max(rest.shape) for part in self._window)), axis=-1)
-        self._noise: list[float] = []
+        self._places = np.stack(self._far[1:], axis=1) / max(height, width)
+        self._middle = np.stack(np.broadcast_arrays(1.0, *(part / max(height, width) for part in self._window)))
+        self._noise: list[list[float]] = []
 
     def _cut(self, light: np.ndarray) -> np.ndarray:
-        rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape, strict=True))
-        return np.where(self._inside, light[rows, columns], np.nan)
+        rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape[1:], strict=True))
+        return np.where(self._inside, light[:, rows, columns], np.nan)
 
-    def frame(self, frame: PreparedFrame) -> np.ndarray | None:
-        """Light around the contact in a frame, as in `ShadingSequence`; None where it or its gain isn't known, or of
-        another reference.
+    def frame(self, frame: PreparedFrame) -> tuple[np.ndarray, bool] | None:
+        """Light where a dent may be in a frame, and whether it is out of contact; None where light or gain isn't known,
+        or of another reference.
         """
         light, view = frame.light, frame.light_view
         if light is None or (None if view is None else view.reference) != self._reference:
             return None
-        found = slow_change(self._places, light[self._far] - self._far_rest)
-        if found is None:
+        found = [slow_change(self._places, colour) for colour in light[self._far] - self._far_rest]
+        if None in found:
             return None
-        gain, sd = found
-        self._noise.append(sd)
-        return (self._cut(light) - self._middle @ gain).astype(np.float32)
+        gains, sds = zip(*found, strict=True)
+        self._noise.append(sds)
+        found = (self._cut(light) - np.tensordot(gains, self._middle, 1)).astype(np.float32)
+        return found, frame.out_of_contact
 
-    def record(self, times: np.ndarray, light: list[np.ndarray], _: int = 0) -> ShadingSequence:
+    def record(self, times: np.ndarray, light: list[tuple[np.ndarray, bool]], _: int = 0) -> ShadingSequence:
         """The sequence of some frames, times since the onset [s]."""
-        stacked = np.stack(light) if light else np.empty((0, *self._rest.shape), np.float32)
-        noise = float(np.median(self._noise)) if self._noise else np.nan
-        return ShadingSequence(np.asarray(times, np.float64), stacked, self._rest, noise)
+        aside = self._dent([brightness(one) - brightness(self._rest) for one, free in light if free])
+        square = ..., *(slice(begin, begin + SIDE) for begin in FINE * (FAR + aside))
+        stacked = np.stack([one[square] for one, _ in light]) if light else np.empty((0, 3, SIDE, SIDE), np.float32)
+        noise = np.median(self._noise, axis=0) if self._noise else np.full(3, np.nan)
+        return ShadingSequence(np.asarray(times, np.float64), stacked, self._rest[square], noise, tuple(aside.tolist()))
+
+    def _dent(self, changes: list[np.ndarray]) -> np.ndarray:
+        """Rows and columns from the contact to the dent that it left, by the light's changes in frames out of contact.
+
+        0 where that is not clear, or where the dent may lie at the contact.
+        """
+        here = np.zeros(2, np.int64)
+        if len(changes) < 3 or len(self._offsets) == 1:
+            return here
+        shown = np.isfinite(changes).mean(axis=0) > 0.5
+        change = smoothed(np.where(shown, _median(np.stack(changes)), np.nan))
+        darkness = np.where(np.isfinite(change), -change, 0.0)
+        place = np.array(np.unravel_index(np.argmax(darkness), darkness.shape))
+        near = FINE * REACH
+        around = slice(FINE * (FAR + MARGIN), -FINE * (FAR + MARGIN))
+        contact = darkness[around, around].max()
+        around = change[max(place[0] - near, 0) : place[0] + near, max(place[1] - near, 0) : place[1] + near]
+        clear = darkness.max() > max(2 * DARKER, 2 * contact, 2 * np.nanmax(around), 8 * median_sd(change[shown]))
+        if not clear:
+            return here
+        middle = place / FINE - FAR - REACH - MARGIN
+        return self._offsets[np.argmin(np.square(self._offsets - middle).sum(axis=1))]

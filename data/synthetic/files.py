@@ -14,9 +14,10 @@ from palpate.data.masks.class_table import CLASSES
 from palpate.data.source.video import Video
 from palpate.data.synthetic.errors import reported_camera
 from palpate.data.synthetic.grip import SUBSTEPS, GrippedMotion
+from palpate.data.synthetic.integration import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE
 from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.truth import ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE, PressedMotion, damping_ratio, regime_of
+from palpate.data.synthetic.truth import PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
 OWN = {"PressedMotion": ("response", "force", "touched"), "GrippedMotion": ("log_stiffness", "reaction", "course")}

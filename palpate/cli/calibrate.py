@@ -1,4 +1,4 @@
-"""From measured forces to material constants.
+"""Fit of material constants to measured forces.
 
     palpate calibrate palpation scene.yaml --output calibrated
 

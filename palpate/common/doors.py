@@ -1,4 +1,4 @@
-"""How a program begins and ends: quietly at Ctrl-C, and whatever its terminal can take.
+"""Begin and end of a program: quietly at Ctrl-C, and whatever its terminal can take.
 
 A program calls `enter_door` before its slow imports, and `run_door` at its end, both only where it is the program.
 """
@@ -31,7 +31,7 @@ class _Output(io.FileIO):
 
 
 def enter_door() -> None:
-    """From here on Ctrl-C ends the program at once, and output never does; letters a terminal lacks are escaped."""
+    """Let Ctrl-C end the program at once, and output never; letters a terminal lacks are escaped."""
     _quit_at_interrupt()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)

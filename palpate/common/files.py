@@ -88,7 +88,7 @@ def _require_file(path: Path) -> os.stat_result:
 
 
 def all_below(folder: Path) -> list[Path]:
-    """What lies in a folder and below, sorted.
+    """Files in a folder and below, sorted.
 
     Links to folders are not followed. A folder that can't be listed, or whose path is too long to be opened, is as if
     empty.

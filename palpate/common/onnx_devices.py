@@ -1,4 +1,4 @@
-"""Where ONNX networks run: devices by ONNX Runtime's names, and the one place that opens a network."""
+"""Devices of ONNX networks, by ONNX Runtime's names, and the one place that opens a network."""
 
 import os
 import re
@@ -6,10 +6,10 @@ import re
 import onnxruntime
 
 PROVIDERS = {"cuda": "CUDAExecutionProvider", "openvino": "OpenVINOExecutionProvider", "cpu": "CPUExecutionProvider"}
-"""What ONNX Runtime calls each device, the best first."""
+"""Names of ONNX Runtime for each device, the best first."""
 AUTO = "auto"
 DEVICES = (AUTO, *reversed(PROVIDERS))
-"""What `open_session` takes."""
+"""Devices that `open_session` takes."""
 
 
 class DeviceError(ValueError):
@@ -50,7 +50,7 @@ def open_session(model: str | bytes, threads: int, device: str) -> onnxruntime.I
 
 
 def opening_problem(error: Exception) -> str:
-    """Why a network can't be opened, and what to do, for a sentence that begins with its file."""
+    """Reason why a network can't be opened, and what to do, for a sentence that begins with its file."""
     if re.search(r"\bopset\b|\bIR version|model file format version", str(error), re.IGNORECASE):
         known = f"than onnxruntime {onnxruntime.__version__} reads"
         return f"has a newer opset or IR version {known}; export it with a lower opset_version, or update onnxruntime"
@@ -64,5 +64,5 @@ def first_line(error: Exception) -> str:
 
 
 def provider_of(session: onnxruntime.InferenceSession) -> str:
-    """What really runs a network, one of `PROVIDERS`' names; what it can't do is left to the CPU."""
+    """Provider that really runs a network, one of `PROVIDERS`' names; what it can't do is left to the CPU."""
     return session.get_providers()[0]

@@ -1,4 +1,4 @@
-"""Which files this program may replace: those that are still as it wrote them; any other is a user's and stays.
+"""Files that this program may replace: those that are still as it wrote them; any other is a user's and stays.
 
 A hidden list in every folder holds their hashes. Results of a clip have theirs in their record, `results/store.py`.
 """
@@ -118,7 +118,7 @@ def _write_list(folder: Path, files: dict[str, list[str]]) -> None:
 
 
 def _list_of(folder: Path) -> dict[str, list[str]]:
-    """What this program wrote into a folder."""
+    """Files that this program wrote into a folder."""
     path = folder / LIST
     if not os.path.lexists(path):
         return {}

@@ -15,7 +15,7 @@ NOT_PREPARATION = ("data/synthetic/", "data/training/")
 MASKS = "models/weights/instruments.onnx"
 """The network that outlines instruments."""
 PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/mesh.py", MASKS)
-"""What it depends on outside data/."""
+"""Files outside data/ on which it depends."""
 Part = Literal["all", "preparation", "kernels"]
 
 

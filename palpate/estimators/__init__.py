@@ -8,7 +8,7 @@ direct          the simulator fitted to every run of contact
 grip            relative force of pulls, by a sheet on a foundation
 palpation       Young's modulus and Poisson's ratio from measured forces and deformed surfaces
 online          stiffness place by place, of particles that are mapped to what every frame shows
-runs            runs of contact, frame by frame, and what all sessions share
+run_tracker     runs of contact, frame by frame; runs: the part that all sessions share
 onset           unknown beginnings of a press; oblique: presses aslant to the line of sight
 known_force     a force measured in a part of a motion, as the scale of the rest
 force_scale     newtons for scene units by a known force or stiffness; calibration_file: the file that says so

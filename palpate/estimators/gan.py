@@ -18,7 +18,8 @@ from palpate.estimators.contract import ClipInfo, Output
 from palpate.estimators.estimate import PressResult
 from palpate.estimators.model_settings import ModelEstimator, ModelSettings
 from palpate.estimators.records import InteractionEstimate
-from palpate.estimators.runs import Run, RunSession, finite, force_arrow, frame_estimate
+from palpate.estimators.run_tracker import Run
+from palpate.estimators.runs import RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import ModelFileError, ParameterModel
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import SIGNS

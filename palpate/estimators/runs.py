@@ -1,4 +1,4 @@
-"""Runs of contact, collected frame by frame: the part of a session that all estimators share."""
+"""The part of a session that all estimators share: the record of every run of contact, and of every frame."""
 
 import contextlib
 import dataclasses
@@ -12,153 +12,22 @@ from typing import ClassVar
 
 import numpy as np
 
-from palpate.data.contact.evidence import CERTAIN
+from palpate.data.contact.evidence import CERTAIN, PRIOR
 from palpate.data.contact.geometry import FrameGeometry
-from palpate.data.contact.interaction import Horizon, Interaction, InteractionBuilder
+from palpate.data.contact.interaction import Horizon, Interaction
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import OUT_OF_CONTACT, PreparedFrame
 from palpate.data.shading.light import log_light
-from palpate.data.shading.sequence import RestingLight
 from palpate.estimators.contract import ClipInfo
 from palpate.estimators.direct.shading_fit import MECHANICS, fit_shading
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import FrameEstimate, InteractionEstimate, Touch
-from palpate.observations.kinds import OBSERVATIONS
+from palpate.estimators.run_tracker import RECORDED, UNDECIDED, Run, RunTracker
 from palpate.physics.mechanics import Bounds, Mechanics
 
-NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
-UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
-PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
-NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
-RECORDED = ("depth", "shading")
-"""Observations that are recorded of every run where they can be."""
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
-
-
-class Run:
-    """One run of contact; its frames are dropped as they pass, and only their observations are kept."""
-
-    def __init__(
-        self,
-        first: PreparedFrame,
-        clip: ClipInfo,
-        seconds: float,
-        rest_light: RestingLight | None = None,
-        observations: Sequence[str] = RECORDED,
-    ) -> None:
-        frame = first.frame
-        self.index, self.number, self.time_s, self.detail = frame.index, frame.number, frame.time_s, first.detail
-        """Index in the clip, number, time stamp [s] and warnings of the first frame."""
-        self.instrument = first.instrument
-        """Number of the instrument that touches."""
-        self.last = frame.index
-        """Index of the last frame in contact."""
-        self.contact = math.nan
-        """Largest probability of contact so far."""
-        self.hovered = False
-        """Whether the tool was found to hover within the run or right after it."""
-        self.undecided = False
-        """Whether the run begins or goes on in a frame where contact is not decided."""
-        self.builder: InteractionBuilder | None = None
-        """Builder of the interaction from its observations; None where the onset was not observed."""
-        self.lit = rest_light is not None
-        """Whether its light is compared with that at rest; it may be a pull, then, as nothing else is measured."""
-        self.note(first)
-        contact = first.geometry
-        if contact is not None and first.track_start == frame.index:
-            found = contact.mesh, contact.vertex, contact.normal, contact.noise
-            begun = {name: OBSERVATIONS[name].recorder(first, clip.size, rest_light) for name in observations}
-            recorders = {name: recorder for name, recorder in begun.items() if recorder is not None}
-            self.builder = InteractionBuilder(*found, first, clip.geometry, seconds, recorders)
-
-    def note(self, current: PreparedFrame) -> None:
-        """Take in the contact probability of a frame within the run or right after it."""
-        self.contact = float(np.fmax(self.contact, current.contact_probability))
-        self.hovered |= current.hovers
-        self.undecided |= current.undecided
-
-    @property
-    def passed(self) -> bool:
-        """Whether the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
-        return self.hovered and not self.undecided and not self.contact >= CERTAIN
-
-    def add(self, current: PreparedFrame) -> None:
-        """Add a frame of the run, in contact or followed after it."""
-        if current.in_contact:
-            self.last = current.frame.index
-        if self.builder is not None:
-            self.builder.add(current)
-
-    def estimate(self, **results) -> InteractionEstimate:
-        """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
-        load = None if self.builder is None else self.builder.load_seconds
-        return InteractionEstimate(self.index, self.number, self.time_s, load, **results, instrument=self.instrument)
-
-    @property
-    def unobserved(self) -> str:
-        """Why nothing can be estimated of a run without observations, or without contact."""
-        if self.passed:
-            return PASSED
-        if self.builder is None:
-            doubt = UNDECIDED if self.undecided and not self.contact >= CERTAIN else ""
-            return f"{doubt} {self.detail or NO_ONSET}".strip()
-        return f"{self.detail} {NOT_FOLLOWED}".strip()
-
-
-class RunTracker:
-    """Follows a clip's runs of contact.
-
-    Args:
-        clip: the clip.
-        seconds: longest motion of a run that counts, from its onset [s].
-        observations: names of those that are recorded.
-    """
-
-    def __init__(self, clip: ClipInfo, seconds: float, observations: Sequence[str] = RECORDED) -> None:
-        self._clip, self._seconds, self._observations = clip, seconds, observations
-        self._light, self._reference = RestingLight(), 0
-        """Light at rest, and the number of the picture in whose view it is."""
-        self.current: Run | None = None
-        """The current run, after its release as well, as long as its tissue is followed."""
-
-    def push(self, frame: PreparedFrame) -> Run | None:
-        """Pass the next frame; returns the run that has ended before it, or None."""
-        if frame.light_view is not None and frame.light_view.reference != self._reference:
-            self._reference = frame.light_view.reference
-            self._light.clear()
-        ended = self._push(frame)
-        if self.current is None and frame.make_light is not None:
-            self._light.push(frame.make_light)
-        return ended
-
-    def _push(self, frame: PreparedFrame) -> Run | None:
-        run = self.current
-        if run is not None:
-            if frame.frame.index - run.last <= self._clip.bridge_frames + 1:
-                run.note(frame)
-            if self._belongs(frame, run):
-                run.add(frame)
-                return None
-            missing = frame.frame.index - run.last
-            if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
-                return None  # the gap may be flicker
-        rest = self._light if len(self._light) else None
-        what = self._clip, self._seconds, rest, self._observations
-        self.current = Run(frame, *what) if frame.in_contact else None
-        return run
-
-    def _belongs(self, frame: PreparedFrame, run: Run) -> bool:
-        if run.builder is not None:
-            return frame.track_start == run.index
-        missing = frame.frame.index - run.last - 1
-        return frame.in_contact and frame.track_start < 0 and missing <= self._clip.bridge_frames
-
-    def finish(self) -> Run | None:
-        """Return the run that the clip's end has cut off, or None."""
-        run, self.current = self.current, None
-        return run
 
 
 class RunSession:
@@ -252,13 +121,13 @@ class RunSession:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
-        mechanics = self.mechanics
+        mechanics, aside = self.mechanics, (0, 0) if contact.shading is None else contact.shading.aside
         try:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
                     contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
-                doubts = found.refuted
+                doubts = f"{self._elsewhere(contact, aside)} {found.refuted}".strip()
             else:
                 found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:
@@ -266,6 +135,12 @@ class RunSession:
         detail = f"{run.detail} {doubts}".strip()
         results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
         return run.estimate(**results, detail=detail)
+
+    def _elsewhere(self, contact: Interaction, aside: tuple[int, int]) -> str:
+        """Sentence on a dent so many rows and columns beside the detected contact; none for a dent at the contact."""
+        shape = contact.mesh.grid_shape
+        away = math.hypot(aside[0] / shape[0] * self.clip.size[1], aside[1] / shape[1] * self.clip.size[0])
+        return f"The dent lies {away:.0f} px beside the detected contact; it is what is estimated." if away else ""
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
@@ -318,6 +193,8 @@ def frame_estimate(
     frame, contact, outlines, u, v = prepared.frame, prepared.geometry, "", None, None
     if contact is not None and prepared.track_start < 0 and prepared.contact_probability < CERTAIN:
         outlines = UNDECIDED if prepared.undecided else OUTLINES_ALONE
+    # Outlines that touch are no evidence: a tool in front of tissue looks the same.
+    unknown = bool(outlines) and math.isclose(prepared.contact_probability, PRIOR)
     unseen = "No displacement: the onset of contact was not observed, or lies beyond the model's horizon."
     missing = unseen if contact is not None and lengths[0] is None and not whole else ""
     if contact is not None:
@@ -330,7 +207,7 @@ def frame_estimate(
         detail=" ".join(filter(None, (prepared.detail or missing, outlines, doubts))),
         estimate=estimate,
         verdict=verdict if estimate is None else estimate.verdict,
-        contact=True if contact is not None else False if prepared.status in OUT_OF_CONTACT else None,
+        contact=None if unknown else contact is not None if prepared.status in ("ok", *OUT_OF_CONTACT) else None,
         touch=Touch(*judged, u, v, prepared.instrument, *lengths, arrow),
     )
 

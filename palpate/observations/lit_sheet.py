@@ -7,6 +7,7 @@ tissue: how far light spreads in it before it comes out again, how wide the lobe
 light, and how rough it is, since a rough surface darkens less as it tilts.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -28,13 +29,15 @@ class Shown(NamedTuple):
     """What pixels show at some displacements, in shares of the matt light at rest; N frames, P = L² pixels."""
 
     rest: np.ndarray
-    """Logarithm of the light that their tissue had at rest, shape [N, P]."""
+    """Logarithms of the light that their tissue had at rest, colour by colour, shape [N, 3·P]."""
     matt: np.ndarray
     """Matt light, shape [N, P]."""
     gloss: np.ndarray
     """Light that the surface mirrors, where it would be as much as the matt light if it faced the camera, [N, P]."""
     gloss_at_rest: np.ndarray
     """Gloss at rest, shape [N, P]."""
+    received: np.ndarray
+    """Matt light that places receive from the rest of the surface, if that reflected all, shape [N, P]."""
 
 
 class LitSheet:
@@ -74,7 +77,7 @@ class LitSheet:
         self._first = (self.pixel - REACH - MARGIN).astype(np.float64)
         self._rays = self.rays(self._places + self._first)
         self._rest = np.asarray(rest, np.float64)
-        self.inner = np.zeros(rest.shape, bool)
+        self.inner = np.zeros(rest.shape[1:], bool)
         """Pixels that are compared, shape [L, L]; what may come to be seen there surrounds them."""
         self.inner[FINE * MARGIN : -FINE * MARGIN, FINE * MARGIN : -FINE * MARGIN] = True
 
@@ -131,18 +134,70 @@ class LitSheet:
         facing, falloff = (part.reshape(len(moved), -1) for part in log_brightness(surface, self._rays))
         rest, farther = matt(facing_at_rest, rough), np.exp(falloff - falloff_at_rest)
         direct = (matt(facing, rough) * farther / rest).reshape(surface.shape)
-        texture = np.broadcast_to(self._rest[None, :, :, None], (len(moved), *self._rest.shape, 1))
+        texture = np.moveaxis(self._rest, 0, -1)
+        texture = np.broadcast_to(texture, (len(moved), *texture.shape))
         return Shown(
-            between(texture, place * FINE + 0.5 * (FINE - 1))[..., 0],
+            np.moveaxis(between(texture, place * FINE + 0.5 * (FINE - 1)), -1, 1).reshape(len(moved), -1),
             _rounded(direct, spreading).reshape(facing.shape),
             mirrored(facing, others[6]) * farther / rest,
             mirrored(facing_at_rest, others[6]) / rest,
+            self._received(surface, direct),
         )
+
+    def _received(self, surface: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """Light from the rest of a surface: its z along the pixels' rays and its own light have shape [N, L, L]."""
+        grid = slice(FINE * MARGIN, -FINE * MARGIN, FINE)
+        points = (surface[..., None] * self._rays)[:, grid, grid]
+        found = exchanged(np.ascontiguousarray(points), np.ascontiguousarray(light[:, grid, grid]))
+        found = found.repeat(FINE, axis=1).repeat(FINE, axis=2)
+        return np.pad(found, ((0, 0), *2 * [(FINE * MARGIN, FINE * MARGIN)])).reshape(len(surface), -1)
 
 
 def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values on a square [N, S, S, C] at places (row, column) in every frame [N, P, 2], bilinear, shape [N, P, C]."""
     return between_vertices(np.ascontiguousarray(values), np.ascontiguousarray(places))
+
+
+@kernel
+def exchanged(points, light):
+    """Light that places of a surface receive from its other places by their form factors, shape [N, S, S].
+
+    Args:
+        points: of the surface, shape [N, S, S, 3].
+        light: that leaves them, shape [N, S, S].
+    """
+    count, side = points.shape[0], points.shape[1]
+    found, size = np.zeros(light.shape), side * side
+    at, normal, sent = np.empty((3, size)), np.empty((3, size)), np.empty(size)
+    for frame in range(count):
+        place = points[frame]
+        for row in range(side):
+            for column in range(side):
+                top, down = max(row - 1, 0), min(row + 1, side - 1)
+                left, right = max(column - 1, 0), min(column + 1, side - 1)
+                a = (place[down, column] - place[top, column]) / (down - top)
+                b = (place[row, right] - place[row, left]) / (right - left)
+                index = row * side + column
+                at[:, index], sent[index] = place[row, column], light[frame, row, column]
+                normal[0, index] = a[2] * b[1] - a[1] * b[2]
+                normal[1, index] = a[0] * b[2] - a[2] * b[0]
+                normal[2, index] = a[1] * b[0] - a[0] * b[1]
+        if normal[2, size // 2] > 0:
+            normal *= -1  # towards the camera
+        received = np.zeros(size)
+        for here in range(size):
+            x, y, z = at[0, here], at[1, here], at[2, here]
+            for there in range(here):
+                dx, dy, dz = at[0, there] - x, at[1, there] - y, at[2, there] - z
+                ahead = normal[0, here] * dx + normal[1, here] * dy + normal[2, here] * dz
+                back = -(normal[0, there] * dx + normal[1, there] * dy + normal[2, there] * dz)
+                if ahead > 0 and back > 0:
+                    factor = ahead * back / (dx * dx + dy * dy + dz * dz) ** 2
+                    received[here] += sent[there] * factor
+                    received[there] += sent[here] * factor
+        area = np.sqrt(np.square(normal).sum(axis=0))
+        found[frame] = (received / (math.pi * area)).reshape(side, side)
+    return found
 
 
 @kernel

@@ -23,9 +23,9 @@ from palpate.planning.press import MOST_FORCE, STEPS, simulate_press
 from palpate.planning.scene import PlanScene, SoftObject
 
 PLACES = 9
-"""Along the width, ends included."""
+"""Number of places along the width, ends included."""
 ANGLES = np.radians(np.arange(-60.0, 61.0, 15.0))
-"""From a face's inward normal."""
+"""Angles from a face's inward normal."""
 LENGTHS = 41
 WIDTH = 0.5
 """h of equation 4, over the spacing of places and of angles."""
@@ -36,7 +36,7 @@ class CostTable:
     """K presses of L lengths on a block."""
 
     places: np.ndarray
-    """Where it is touched, in the block's frame, y ≤ 0, shape [K, 2] [m]."""
+    """Places where it is touched, in the block's frame, y ≤ 0, shape [K, 2] [m]."""
     angles: np.ndarray
     """Shape [K] [rad]."""
     lengths: np.ndarray

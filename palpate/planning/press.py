@@ -1,4 +1,4 @@
-"""What it takes to push an instrument's tip into a block of tissue along a straight line, simulated.
+"""Cost of pushing an instrument's tip into a block of tissue along a straight line, simulated.
 
 The tip's force is spread over a patch of its radius and grows in steps until the patch has gone as far as asked, or
 until 20 N (Frank 2010, section V); the work is the deformation's cost. Where no equilibrium is found any more, the
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MOST_FORCE = 20.0
 """[N]."""
 STEPS = 5
-"""Into which the longest press is divided, about."""
+"""Approximate number of steps of the longest press."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class PressCurve:
     """A press; S steps, of which the first is rest."""
 
     lengths: np.ndarray
-    """How far the patch has gone along the line, rising, shape [S] [m]."""
+    """Distance of the patch along the line, rising, shape [S] [m]."""
     force: np.ndarray
     """Shape [S] [N]."""
     work: np.ndarray

@@ -50,7 +50,7 @@ class PressingCosts:
         self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
         """Corners of the grid, shape [2, 3] [m]."""
         self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [SHAPE_SD, WORK_SD])).tolist()
-        """From a force, and from work, to the upper end of its 90 % interval, factors."""
+        """Factors from a force, and from work, to the upper end of its 90 % interval."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distance of points [M, 3] from the body, negative within, shape [M] [m]; outside the grid as at
@@ -108,12 +108,12 @@ class PressingCosts:
         return np.where(over, np.inf, np.round(MILLI * self.scene.young * work, DIGITS))
 
     def price(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """What lines [K, 3] → [K, 3] cost, of those that cost the same the shorter a little less, shape [K]."""
+        """Costs of lines [K, 3] → [K, 3], of those that cost the same the shorter a little less, shape [K]."""
         way = MILLI * np.linalg.norm(ends - starts, axis=1)
         return weighed(self.scene.alpha, self.deformation(*self.edges(starts, ends)), way) + TIE * way
 
     def plan(self, places: np.ndarray) -> Plan:
-        """What a way costs, its places [P, 3] given."""
+        """Cost of a way, its places [P, 3] given."""
         begun, ended = MILLI * self.scene.young * self.loads(places[[0, -1]])[1]
         deformation = self.deformation(*self.edges(places[:-1], places[1:])).sum() + (ended - begun) / 2
         return Plan.of(places, float(deformation), self.scene.alpha)

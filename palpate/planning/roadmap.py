@@ -20,14 +20,14 @@ from palpate.planning.scene import PlanScene
 
 MILLI = 1000.0
 DIGITS = 9
-"""To which the deformation by a line is rounded [mJ], so that errors of rounding in the table decide no tie."""
+"""Decimals to which the deformation by a line [mJ] is rounded, so that rounding errors in the table decide no tie."""
 
 TIE = 1e-12
 """Part of the way [mm] that counts as cost in the search: less than DIGITS tell apart over half a metre."""
 
 
 class Blocked(ValueError):
-    """There is no way; the message says why."""
+    """Error where there is no way; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Plan:
     """A way; P places."""
 
     places: np.ndarray
-    """From start to goal, shape [P, 2], in space [P, 3] [m]."""
+    """Places from start to goal, shape [P, 2], in space [P, 3] [m]."""
     deformation: float
     """[mJ]."""
     way: float
@@ -51,7 +51,7 @@ class Plan:
 
     @property
     def price(self) -> tuple[float, float]:
-        """What ways are compared by, as tuples are: cost, then way."""
+        """Key by which ways are compared, as tuples are: cost, then way."""
         return self.cost, self.way
 
 
@@ -85,7 +85,7 @@ class EdgeCosts:
         return total
 
     def plan(self, places: np.ndarray) -> Plan:
-        """What a way costs, its places [P, 2] given."""
+        """Cost of a way, its places [P, 2] given."""
         return Plan.of(places, float(self.deformation(places[:-1], places[1:]).sum()), self.scene.alpha)
 
 

@@ -38,7 +38,7 @@ class SoftObject(Checked):
     held: tuple[Side, ...] = ("top",)
     """Sides that don't move."""
     longest: Annotated[float, 1e-15, 0.1] = 0.04
-    """How far the tissue is pushed along until it lets the tip by [m], 10 cm at most."""
+    """Distance over which tissue is pushed along until it lets the tip by [m], 10 cm at most."""
     cells: tuple[int, int, int] = (6, 1, 5)
     """Number of cells of the mesh along width, thickness and height, of quadratic elements."""
 
@@ -59,7 +59,7 @@ class SoftObject(Checked):
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a block stands in the plane.
+    """Place of a block in the plane.
 
     Raises:
         ValueError: a size that can't be.
@@ -68,9 +68,9 @@ class Placed:
     centre: Pair
     """[m]."""
     size: Pair
-    """Its width and thickness [m]."""
+    """Width and thickness [m]."""
     degrees: float = 0.0
-    """By how much its width is turned from the x axis, anticlockwise."""
+    """Angle of the width from the x axis, anticlockwise."""
 
     def __post_init__(self) -> None:
         if min(self.size) <= 0:
@@ -95,7 +95,7 @@ class Placed:
         return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
 
     def met(self, starts: np.ndarray, ends: np.ndarray, radius: float, close: float = 1e-5) -> np.ndarray:
-        """How far a disc goes on straight lines until it touches, shape [K] [m]; infinite where it never does.
+        """Distance that a disc goes on straight lines until it touches, shape [K] [m]; infinite where it never does.
 
         Steps of the distance that is left (sphere tracing, Hart 1996).
 
@@ -150,7 +150,7 @@ class PlanScene(Checked):
     """Kinds of tissue by name."""
     tissue: tuple[Piece, ...]
     obstacles: tuple[Placed, ...] = ()
-    """What never gives way."""
+    """Obstacles that never give way."""
     tip_radius: Positive = 0.005
     """[m]."""
     alpha: Annotated[float, 0, 1] = 0.5
@@ -187,7 +187,7 @@ class SpaceScene(Checked):
     goal: Triple
     """Goal of the tip's centre [m]."""
     port: Triple
-    """Which the shaft goes through [m]."""
+    """Point through which the shaft goes [m]."""
     limit_N: Positive
     """Limit of the force on the instrument: the upper end of its interval keeps below it all along the path."""
     young: Positive

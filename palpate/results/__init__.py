@@ -1,4 +1,4 @@
-"""What infer.py writes for a clip.
+"""Files that infer.py writes for a clip.
 
 run       a batch of clips: finding them, going on after a failure; outcome: how they went, the closing tables
 options   what a user chooses, beside preparation and the estimator's options

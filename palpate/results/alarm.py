@@ -18,7 +18,7 @@ from palpate.estimators.result import Quantity
 
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
 NO_CONTACT = "no_contact"
-"""What run.json calls frames without any; their state is empty."""
+"""Name in run.json of frames without any; their state is empty."""
 
 
 @dataclass
@@ -42,7 +42,7 @@ class ForceAlarm:
     raised: float = 0.9
     cleared: float = 0.5
     alarms: int = 0
-    """How often the probability has reached `raised`."""
+    """Number of times that the probability has reached `raised`."""
     frames: Counter[str] = field(default_factory=Counter)
     """Number of frames of each state."""
 
@@ -85,7 +85,7 @@ class ForceAlarm:
         return state
 
     def record(self) -> dict[str, Any]:
-        """What run.json keeps: the limit, the number of alarms, and the number of frames of each state."""
+        """Entry of run.json: the limit, the number of alarms, and the number of frames of each state."""
         frames = {state: self.frames[state] for state in (NO_CONTACT, BELOW, ABOVE, UNKNOWN)}
         given = {"limit": self.limit, "unit": self.unit, "raised": self.raised, "cleared": self.cleared}
         return given | {"alarms": self.alarms, "frames": frames}

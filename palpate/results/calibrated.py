@@ -52,7 +52,7 @@ class ClipCalibration:
     rows: list[dict[str, Any]] = field(default_factory=list)
     """Rows of calibrated.csv, likewise."""
     reason: str = ""
-    """Why there is no scale."""
+    """Reason why there is no scale."""
 
     def __post_init__(self) -> None:
         self._runs: list[tuple[int, float, PressedRun | None]] = []
@@ -116,7 +116,7 @@ class ClipCalibration:
         return Quantity(math.exp(physical.logs[2]), physical.log_sd[2])
 
     def record(self) -> dict[str, Any]:
-        """What run.json keeps: where newtons come from."""
+        """Entry of run.json: where newtons come from."""
         found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
         if self.scale is not None:
             kept = {name: getattr(self.scale, name) for name in ("variance", "homogeneous", "source")}

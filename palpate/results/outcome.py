@@ -1,4 +1,4 @@
-"""How the clips of a batch went: in words, in counts, the closing table and the page."""
+"""Outcome of a batch's clips: in words, in counts, the closing table and the page."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,14 +23,14 @@ DONE, UP_TO_DATE, FAILED = "done", "up to date", "failed"
 
 @dataclass
 class Outcome:
-    """How one clip, or one input without any, went."""
+    """Outcome of one clip, or of one input without any."""
 
     name: str
     state: str
     where: str
     """Folder of the results, or why there are none."""
     counts: dict[str, int] = field(default_factory=dict)
-    """What was found in the clip (see `counts_of`)."""
+    """Counts of what was found in the clip (see `counts_of`)."""
     contacts: list[tuple[str, ...]] = field(default_factory=list)
     """Number and first frame, what is determined, and verdict of every contact."""
 
@@ -46,7 +46,7 @@ def wording(error: Exception) -> str:
 
 
 def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
-    """What the closing table says of a clip: runs of contact by verdict, then frames by verdict or status."""
+    """Counts of a clip for the closing table: runs of contact by verdict, then frames by verdict or status."""
     contacts = {f"{plural(count, 'contact')} {name}": count for name, count in record.get("contacts", {}).items()}
     frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
     verdicts = record.get("verdicts", {})

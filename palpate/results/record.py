@@ -1,4 +1,4 @@
-"""What a clip's results were made of: hashes, versions, settings. Also decides whether they are still up to date."""
+"""Record of hashes, versions and settings behind a clip's results; decides whether they are still up to date."""
 
 import dataclasses
 import functools
@@ -49,7 +49,7 @@ PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 
 
 def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> dict[str, Any]:
-    """What the results of a clip depend on: hashes of files, settings, and the code.
+    """Dependencies of a clip's results: hashes of files, settings, and the code.
 
     Those with the same digest, the record's `fingerprint`, need not be computed again.
     """
@@ -76,7 +76,7 @@ def model_of(estimator: Estimator) -> ExportedModel | None:
 
 
 def head_of(kind: str, causes: Mapping[str, Any]) -> dict[str, Any]:
-    """What run.json has of any results: what they are, and what they depend on."""
+    """Entries of run.json for any results: what they are, and what they depend on."""
     return {
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
@@ -150,7 +150,7 @@ def build_record(
 def warnings_of(
     source: FrameSource, frames: Sequence[FrameEstimate], model: ExportedModel | None, sources: Mapping[str, str]
 ) -> list[str]:
-    """What the user should know about a clip, one sentence each: damage to it, doubtful masks or intervals.
+    """Warnings about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
     Args:
         source: the clip.
@@ -169,7 +169,7 @@ def warnings_of(
     if sources["masks"] == "automatic":
         found.append(
             "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
-            "contact here means in view, until the instrument has moved and tissue did not move with it"
+            "contact is undecided there until the instrument or the tissue has moved"
         )
     for status in PERSISTENT:
         if hit := [frame for frame in frames if frame.status == status]:

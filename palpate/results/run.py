@@ -107,7 +107,7 @@ class Batch:
         return paths, failed
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:
-        """How the clips went: one after the other, or with --jobs as they are done, in processes of their own."""
+        """Outcomes of the clips: one after the other, or with --jobs as they are done, in processes of their own."""
         scheduler = self.options.scheduler
         if not paths or (self.options.jobs == 1 and scheduler is None):
             for number, path in enumerate(paths, start=1):
@@ -162,7 +162,7 @@ class Batch:
 
 
 def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, Outcome, list[str]]:
-    """How a clip went in this process, and what there is to say of it, for the one that has the terminal."""
+    """Outcome of a clip in this process, and what there is to say of it, for the one that has the terminal."""
     options, path, folder = task
     batch = _opened(options)
     batch.folders = {} if folder is None else {path: folder}

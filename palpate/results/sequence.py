@@ -38,7 +38,7 @@ PARTICLES = "particles.csv"
 
 
 def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
-    """What the results of a sequence depend on: hashes of all its files, the estimator's settings, and the code.
+    """Dependencies of a sequence's results: hashes of all its files, the estimator's settings, and the code.
 
     Raises:
         OSError: a file can't be read.
@@ -75,7 +75,7 @@ class SequenceClip:
         self.name, self._sequence, self._settings = name_of(path), open_sequence(path), estimator.settings
         require_fit(self._sequence)
         self.causes = causes_of(self._sequence, estimator.described)
-        """What the results depend on."""
+        """Everything that the results depend on."""
 
     def write(self, folder: Path, done: Callable[[], None]) -> dict[str, Any]:
         """Follow the tissue and write what is found; returns run.json's content.

@@ -13,7 +13,7 @@ from palpate.estimators.online.particle_field import ParticleField
 
 
 class Shown(NamedTuple):
-    """What a frame shows."""
+    """Content of a frame."""
 
     image: np.ndarray | None
     """RGB, uint8 [H, W, 3]; None where it could not be read or isn't needed."""

@@ -26,7 +26,7 @@ PAGES = "index.html", "page.html"
 BAGS = {"ros1": "forces.bag", "ros2": "forces.mcap"}
 """Bags of --bag there, by the version of ROS."""
 MARKER = ".unfinished-results"
-"""Tells a hidden folder of ours from a user's."""
+"""Mark that tells a hidden folder of ours from a user's."""
 PROGRAM = "infer.py"
 """Value of `program` in run.json; another program's results are never replaced."""
 

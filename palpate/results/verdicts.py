@@ -77,7 +77,7 @@ ALARMS: dict[str, tuple[str, Color | None]] = {
     "above": ("Force limit: ABOVE.", (220, 38, 38)),
     "unknown": ("Force limit: unknown, neither safe nor unsafe.", (250, 204, 21)),
 }
-"""What is said of the alarm, and the colour of the picture's edge."""
+"""Text of the alarm, and the colour of the picture's edge."""
 
 
 def state(result: FrameEstimate | InteractionEstimate) -> str:

@@ -48,7 +48,7 @@ class VideoClip:
         self._source = open_source(path, settings.layout)
         self.name, self.length = self._source.name, self._source.length
         self.causes = depends_on(path, settings, estimator)
-        """What the results depend on."""
+        """Everything that the results depend on."""
         chosen = {name: getattr(options, name) for name in ("force_limit", "alarm_at", "shaft_diameter", "export")}
         self.causes |= {name: value for name, value in chosen.items() if value is not None}
         self._calibration = None
@@ -60,7 +60,7 @@ class VideoClip:
         self.files = [kind.name for kind in self._kinds if kind.name] + [RECORD]
         """Names of the files that are written."""
         self.remarks: list[str] = []
-        """Why contacts have no estimate, the most frequent reasons."""
+        """Reasons why contacts have no estimate, the most frequent reasons."""
 
     def write(self, folder: Path, done: Callable[[], None]) -> dict[str, Any]:
         """Estimate all frames and contacts and write the results; returns run.json's content.

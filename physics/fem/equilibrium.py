@@ -1,4 +1,4 @@
-"""Where a body comes to rest under forces and prescribed displacements, with exact derivatives.
+"""Equilibrium of a body under forces and prescribed displacements, with exact derivatives.
 
 Newton's method on the potential energy with a backtracking line search (Nocedal & Wright 2006, algorithm 3.1) along
 load steps that are halved where it fails. Derivatives come from the tangent at the solution (implicit function
@@ -69,11 +69,11 @@ class Equilibrium:
     """A body at rest under a load; N nodes, E elements."""
 
     energy: Energy
-    """What it minimises: body, material (with the name of its law) and forces."""
+    """Energy that it minimises: body, material (with the name of its law) and forces."""
     displacement: np.ndarray
-    """From rest, shape [N, 3] [m]."""
+    """Displacement from rest, shape [N, 3] [m]."""
     held: np.ndarray
-    """Which components are prescribed, shape [N, 3], bool."""
+    """Mask of prescribed components, shape [N, 3], bool."""
     iterations: int
     """Newton steps that it took, over all load steps."""
     near: LinearSystem | None = None
@@ -101,7 +101,7 @@ class Equilibrium:
 
     @property
     def solver(self) -> LinearSystem | None:
-        """What helps to solve for states close by: this state's system where it was needed, else what helped here."""
+        """Preconditioner for states close by: this state's system where it was needed, else what helped here."""
         return self.__dict__.get("_system", self.near)
 
     def moved_by(self, forces: np.ndarray) -> np.ndarray:
@@ -132,7 +132,7 @@ def find_equilibrium(
     start: np.ndarray | None = None,
     near: LinearSystem | None = None,
 ) -> Equilibrium:
-    """Where a body comes to rest.
+    """Find the equilibrium of a body.
 
     Args:
         solid: the body.

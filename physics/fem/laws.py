@@ -28,10 +28,10 @@ _COFACTOR_SLOPE = np.einsum("ikm,jln->ijklmn", _LEVI_CIVITA, _LEVI_CIVITA).resha
 
 
 class Response(NamedTuple):
-    """What a law answers."""
+    """Answer of a law."""
 
     energy: np.ndarray
-    """Per volume at rest, shape [...], infinite where the law isn't defined."""
+    """Energy per volume at rest, shape [...], infinite where the law isn't defined."""
     stress: np.ndarray
     """First Piola–Kirchhoff, ∂energy/∂F, shape [..., 3, 3]."""
     tangent: np.ndarray | None

@@ -26,7 +26,7 @@ class LinearSystem:
 
     @property
     def known(self) -> SuperLU | None:
-        """Its factors where they were needed, else those that it has borrowed."""
+        """Factors where they were needed, else those that were borrowed."""
         return self.factors if "factors" in self.__dict__ else self.borrowed
 
     def solve(self, right: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:

@@ -23,7 +23,7 @@ from palpate.physics.fem.surface import areas, nearest, rows_needed
 Floor = tuple[int, float] | None
 """Axis across a plane that a body stands on, and where along it [m]."""
 Longest = Callable[[np.ndarray], np.ndarray]
-"""How long edges may be at most around places [P, 3], shape [P], positive [m]."""
+"""Largest length of edges around places [P, 3], shape [P], positive [m]."""
 GROWTH = 0.5
 """Growth of edges' length by the distance from what they crowd around."""
 
@@ -213,7 +213,7 @@ def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray
 
 
 def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Which cells more than half of six rays call inside, shape [I, J, K], bool."""
+    """Mask of cells that more than half of six rays call inside, shape [I, J, K], bool."""
     votes = np.zeros(centres.shape[:3], np.int64)
     sides = centres[1, 1, 1] - centres[0, 0, 0]
     off = sides * [3.1e-4, 1.7e-4, 2.3e-4]  # of the rays from the cells' centres: on the grid they would meet edges
@@ -245,7 +245,7 @@ def _enclosed(corners: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def _flat(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Which elements on the outside lie with all their corners on the surface and are nearly flat, shape [E], bool.
+    """Mask of outer elements, nearly flat, with all corners on the surface, shape [E], bool.
 
     They keep their nodes from going where they belong, and without them the body is as it is to be.
     """

@@ -21,7 +21,7 @@ class Solid:
     """Nodes, elements, and the gradients of the shape functions at rest; made by `make_solid`."""
 
     rest: np.ndarray
-    """Where the nodes are at rest, shape [N, 3] [m]."""
+    """Places of the nodes at rest, shape [N, 3] [m]."""
     elements: np.ndarray
     """Node indices, corners first, shape [E, n]."""
     gradients: np.ndarray
@@ -87,7 +87,7 @@ class Solid:
 
     @cached_property
     def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which block each pair of an element's nodes adds to, and the blocks' columns and row ends."""
+        """Block to which each pair of an element's nodes adds, and the blocks' columns and row ends."""
         count, nodes = len(self.rest), self.elements.shape[1]
         pairs = np.repeat(self.elements, nodes, axis=1).ravel() * count + np.tile(self.elements, (1, nodes)).ravel()
         blocks, which = np.unique(pairs, return_inverse=True)

@@ -43,7 +43,7 @@ def areas(triangles: np.ndarray) -> np.ndarray:
 
 
 def nearest(points: np.ndarray, triangles: np.ndarray, samples: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Which triangle each point is closest to, shape [P], and where on it, as barycentric coordinates [P, 3].
+    """Triangle closest to each point, shape [P], and where on it, as barycentric coordinates [P, 3].
 
     Args:
         points: shape [P, 3].

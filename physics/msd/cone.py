@@ -1,4 +1,4 @@
-"""Which vertices can matter when only a few vertices are loaded and watched.
+"""Vertices that can matter when only a few vertices are loaded and watched.
 
 Distances are counted in springs from the centre of the load.
 """
@@ -18,11 +18,11 @@ GRID_EIGENVALUE = 9.0
 
 
 INSIDE = 1e-3
-"""How much less the window used may neglect than the smaller one it is checked with."""
+"""Factor by which the window used may neglect less than the smaller one it is checked with."""
 
 
 class Reach(NamedTuple):
-    """How far what acts and what is watched lie from the centre of a window [springs]."""
+    """Distances of what acts and what is watched from the centre of a window [springs]."""
 
     loaded: int = 0
     """Farthest loaded vertex."""
@@ -40,7 +40,7 @@ class Reach(NamedTuple):
 
 
 ALONE = Reach()
-"""Where one vertex is loaded and watched."""
+"""Reach where one vertex is loaded and watched."""
 
 
 def exact_radii(steps: int, reach: Reach = ALONE) -> np.ndarray:
@@ -87,7 +87,7 @@ def window_radii(
 
 @functools.lru_cache(maxsize=4096)
 def _decay(stiffness: float, damping: float, mechanics: Mechanics, horizon: int) -> tuple[np.ndarray, np.ndarray]:
-    """How far a response reaches after 0, 1, … steps, shapes [horizon + 1]: of it all but what each window neglects."""
+    """Reach of a response after 0, 1, … steps, shapes [horizon + 1]: of it all but what each window neglects."""
     # The response after τ steps has degree τ: as many nodes give its coefficients exactly.
     nodes = np.cos(np.pi * (np.arange(horizon + 1) + 0.5) / (horizon + 1))
     step = integrator(damping, mechanics)

@@ -80,7 +80,7 @@ def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: 
 
 
 def places(layout: GridLayout, mesh: Mesh, vertices: np.ndarray, planes: int) -> np.ndarray:
-    """Where vertices [M] of the window lie in the first plane of a state of ``planes`` planes, shape [M], int64."""
+    """Places of the window's vertices [M] in the first plane of a state of ``planes`` planes, shape [M], int64."""
     row, column = mesh.pixels[vertices].astype(np.int64).T
     return (row - layout.corner[0]) * planes * layout.pitch + column - layout.corner[1]
 

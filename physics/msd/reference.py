@@ -29,7 +29,7 @@ class Integrator(NamedTuple):
     kick_slope: np.ndarray
     """Derivative of ``kick`` by k_d."""
     lag: float
-    """How far the output lies behind the state [s]."""
+    """Delay of the output behind the state [s]."""
 
 
 def integrator(damping: float | np.ndarray, mechanics: Mechanics) -> Integrator:

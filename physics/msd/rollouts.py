@@ -44,7 +44,7 @@ def rollout(
 def rollout_sensitivities(
     theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], mechanics: Mechanics = DEFAULT, watch: Watch = None
 ) -> tuple[Tensor, Tensor]:
-    """What `rollout` gives, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
+    """Result of `rollout`, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
 
     Arguments and errors as in `rollout`. The derivatives have θ as a further last axis; they are 0, with a warning,
     where the compiled motion is so chaotic that rounding decides them.

@@ -55,7 +55,7 @@ def simulate_sensitivities(
 
 
 def simulate_tangent(theta: ArrayLike, mesh: Mesh, load: Load, mechanics: Mechanics, **how) -> tuple[np.ndarray, ...]:
-    """What `simulate_sensitivities` gives, with the derivatives by φ = (log k_s, log k_d, log |F|) in place of θ.
+    """Result of `simulate_sensitivities`, with the derivatives by φ = (log k_s, log k_d, log |F|) in place of θ.
 
     They are 0 where the motion is so chaotic that rounding decides them.
     """
@@ -80,7 +80,7 @@ class Case(NamedTuple):
     mesh: Mesh
     """The mesh at rest."""
     load: Load
-    """What acts on it."""
+    """Load that acts on it."""
     mechanics: Mechanics
     """Constants."""
     watch: np.ndarray
@@ -142,13 +142,13 @@ def _on_grid(case: Case, press: Press, sensitive: bool) -> tuple[np.ndarray, np.
 
 
 def _farthest(case: Case, vertices: np.ndarray) -> int:
-    """How far vertices lie from the load's first one on the grid (see `grid_kernel`)."""
+    """Largest distance of vertices from the load's first one on the grid (see `grid_kernel`)."""
     rows, columns = (case.mesh.pixels[vertices].astype(np.int64) - case.mesh.pixels[case.load.vertex]).T
     return int(np.abs([rows, columns, rows - columns]).max())
 
 
 def _layout(case: Case, reach: Reach, radii: np.ndarray) -> GridLayout | None:
-    """What lies within reach; None where the mesh is no grid."""
+    """Window within reach; None where the mesh is no grid."""
     far = max(int(radii.max()) + 1, *reach)
     mobile = reference.free_vertices(case.mesh, case.load)
     return grid_kernel.grid_layout(case.mesh, case.load.vertex, mobile, far, case.theta.dtype)

@@ -14,7 +14,7 @@ NORM_GUARD = 1e-18
 
 
 class Layout(NamedTuple):
-    """What compiled loops read; K constraints with M members in all: distances first, then volumes, then shapes."""
+    """Arrays of compiled loops; K constraints with M members in all: distances first, then volumes, then shapes."""
 
     starts: np.ndarray
     """First member of every constraint and the total, shape [K + 1], int64."""
@@ -25,7 +25,7 @@ class Layout(NamedTuple):
     offsets: np.ndarray
     """Rest positions of a shape's members from their mean, 0 for others, shape [M, 3] [m]."""
     firsts: np.ndarray
-    """Where volumes and shapes begin, shape [2], int64."""
+    """First indices of volumes and shapes, shape [2], int64."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Body:
     rest: np.ndarray
     """Positions at rest, shape [N, 3], float64 [m]."""
     pinned: np.ndarray
-    """Which never move, shape [N], bool."""
+    """Mask of particles that never move, shape [N], bool."""
     edges: np.ndarray
     """Pairs that keep their distance, shape [E, 2]."""
     tetrahedra: np.ndarray
@@ -63,7 +63,7 @@ class Body:
 
     @property
     def kinds(self) -> tuple[slice, slice, slice]:
-        """Which of the constraints are distances, volumes and shapes."""
+        """Slices of the constraints: distances, volumes and shapes."""
         volumes, shapes = self.layout.firsts.tolist()
         return slice(0, volumes), slice(volumes, shapes), slice(shapes, len(self.layout.rest))
 
@@ -78,7 +78,7 @@ class Body:
         return inverse
 
     def strains(self, points: np.ndarray) -> np.ndarray:
-        """By which share edges are longer than at rest, shape [..., E], at positions [..., N, 3] [m]."""
+        """Strain of edges, shape [..., E], at positions [..., N, 3] [m]."""
         first, second = self.edges.T
         lengths = np.linalg.norm(points[..., first, :] - points[..., second, :], axis=-1)
         return lengths / self.layout.rest[self.kinds[0]] - 1

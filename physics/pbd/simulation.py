@@ -21,7 +21,7 @@ MOST_ITERATIONS = 1000
 
 @dataclass(frozen=True)
 class Stepping(Checked):
-    """How time steps are taken.
+    """Settings of the time steps.
 
     Raises:
         ValueError: a value out of range.
@@ -37,11 +37,11 @@ class Stepping(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What B bodies did over T steps."""
+    """Motion of B bodies over T steps."""
 
     body: Body
     positions: np.ndarray
-    """At the start and after each step, shape [B, T + 1, N, 3] [m]."""
+    """Places at the start and after each step, shape [B, T + 1, N, 3] [m]."""
     _arguments: tuple[Any, ...]
     _time_step: float
 

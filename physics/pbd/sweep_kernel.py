@@ -17,7 +17,7 @@ from palpate.physics.pbd.constraint_kernel import add, bent, dot, met, plus, put
 
 @inlined
 def _begun(before, inverse_mass, rest, foundation, gripped, places, points):
-    """Where a step's sweeps begin: free particles where they were, gripped ones placed; written to `points` [N, 3].
+    """Starts of a step's sweeps: free particles where they were, gripped ones placed; written to `points` [N, 3].
 
     The foundation is part of the inertia: both are squares of one particle's way, whose sum is one such square.
     """
@@ -123,7 +123,7 @@ def _directed(pull, particle, inverse_mass, step, twice, normal):
 
 @inlined
 def _by_step(index, by_step, weight, value, multiplier, mobility, pulled, slopes):
-    """From s: Δλ and -w s/g; the derivatives by λ and w are written."""
+    """Δλ and -w s/g from s; the derivatives by λ and w are written."""
     step = _stepped(weight[index], value, multiplier, mobility)
     share = by_step / (weight[index] * mobility + 1)
     slopes[index] -= share * (value + mobility * step)

@@ -15,7 +15,7 @@ TIP = 80, 88
 REACH = 45.0
 """How far motion reaches from the tip [px]."""
 WAY = np.array([-7.0, 3.5])
-"""Of the grip, from the first picture to the last [px]."""
+"""Motion of the grip from the first picture to the last [px]."""
 
 
 def tissue_motion(places: np.ndarray, share: float) -> np.ndarray:
@@ -66,7 +66,7 @@ tool_values: [0], tissue_values: [255]}"""
 
 
 def pull_clip(folder: Path, shares: np.ndarray, camera: tuple[float, float] = (0.0, 0.0)) -> PulledClip:
-    """The same as a user gives it: a folder, with its layout beside it."""
+    """Clip as a user gives it: a folder, with its layout beside it."""
     write_pull(folder, shares, camera)
     layout = folder.with_name(f"{folder.name}.yaml")
     layout.write_text(LAYOUT)

@@ -104,7 +104,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path, content):
 
 
 def square(case: tuple[harness.Experiment, tuple[int]]) -> list[harness.Row]:
-    """Of one number; 13 interrupts."""
+    """Square of one number; 13 interrupts."""
     _, (number,) = case
     if number == 13:
         raise KeyboardInterrupt

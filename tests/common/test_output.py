@@ -110,7 +110,7 @@ def test_a_list_that_was_changed_owns_nothing(tmp_path: Path, listed: object) ->
 
 
 def test_a_huge_file_that_is_none_of_ours_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 12 GB and in no list, or listed and larger than memory: its hash alone, in pieces. Nor is such a list."""
+    """A file of 12 GB in no list, or listed and larger than memory: its hash alone, in pieces. Nor is such a list."""
     monkeypatch.setattr(output, "file_sha256", lambda path: pytest.fail("it was read"))
     for name, said in (("a", r"a is not"), (LIST, LIST)):
         with (tmp_path / name).open("wb") as file:

@@ -103,7 +103,7 @@ def one_byte(path: Path, content: bytes) -> None:
 
 
 def packed(path: Path, _: bytes) -> None:
-    """As small, and of gigabytes."""
+    """Write a file as small, far larger when unpacked."""
     np.savez_compressed(path, status=np.zeros(10**6), sources=np.zeros(10**6), depth=np.zeros(10**6))
 
 

@@ -31,7 +31,7 @@ def pressed() -> SyntheticClip:
 
 @pytest.fixture(scope="session")
 def frames(pressed: SyntheticClip) -> list[PreparedFrame]:
-    """The same, prepared."""
+    """Prepared frames of that clip."""
     return list(open_synthetic(pressed, PrepareSettings(geometry=clip_info().geometry)))
 
 

@@ -20,7 +20,7 @@ from palpate.physics.mesh import Mesh
 SIZE = (214, 120)
 """Width and height of the pictures [px]."""
 DEPTH, LABELS = np.full(SIZE[::-1], 0.5, np.float32), np.zeros(SIZE[::-1], np.uint8)
-"""Of frames that are not a synthetic clip's."""
+"""Depth and labels of frames that are not a synthetic clip's."""
 
 
 def clip_info(fps: float = 25.0, bridge_frames: int = 2) -> ClipInfo:
@@ -56,7 +56,7 @@ class State:
     moved: tuple[float, float, float] | None = None
     """How far from rest the followed tissue is [scene units]; None where it is lost."""
     probability: float = math.nan
-    """Of contact, by whether tissue moves with the tool."""
+    """Probability of contact, by whether tissue moves with the tool."""
     undecided: bool = False
     """Whether the tool hovered before, and nothing tells whether it touches since."""
 

@@ -209,7 +209,7 @@ def require_complete(estimator: Estimator, found: PressResult) -> None:
 
 
 def test_depth_counts_for_a_network_that_takes_it(files, frames) -> None:
-    """Of frames and of runs alike: other pictures, other estimates."""
+    """It counts in frames and runs alike: other pictures, other estimates."""
     estimator = files["network with depth"].build()
     dark = [dataclasses.replace(frame, depth=0.5 * frame.depth) for frame in frames]
     estimates = 0

@@ -48,7 +48,7 @@ class Result(NamedTuple):
 def run(
     clip_folder: Path, folder: Path, *, theta: tuple[float, float, float] = THETA, **changes: object
 ) -> tuple[ClipStream, list[Result], InteractionEstimate]:
-    """What is said of the drawn clip with a network of this metadata."""
+    """Results of the drawn clip with a network of this metadata."""
     window = changes.pop("window", 1)
     model = ParameterModel(write_model(folder / "model.onnx", metadata(window, **changes), theta=theta))
     estimator = GanEstimator(model)
@@ -153,7 +153,7 @@ def test_time_by_stage_starts_anew_for_every_clip(usual, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("theta", [THETA, (0.5, 0.09, 0.0)])
 def test_a_run_is_the_geometric_mean_of_its_frames(clip_folder, tmp_path, theta) -> None:
-    """Of magnitudes, with F pressing; a parameter at 0 counts as 1e-12, and without a force there is no arrow."""
+    """Mean of magnitudes, with F pressing; a parameter at 0 counts as 1e-12, and without a force there is no arrow."""
     _, results, run_of_contact = run(clip_folder, tmp_path, theta=theta)
     each = np.array([result.estimate.estimate.theta for result in results[ONSET:]])
     expected = np.exp(np.log(np.maximum(np.abs(each), 1e-12)).mean(axis=0)) * (1, 1, -1)

@@ -30,7 +30,7 @@ def taken() -> float:
 
 
 def later(frame: PreparedFrame, by: int, fps: float) -> PreparedFrame:
-    """The same frame, so many frames later."""
+    """Frame like this one, so many frames later."""
     source, start = frame.frame, frame.track_start + by if frame.track_start >= 0 else -1
     when = {"index": source.index + by, "number": source.number + by, "time_s": source.time_s + by / fps}
     return dataclasses.replace(frame, frame=dataclasses.replace(source, **when), track_start=start)

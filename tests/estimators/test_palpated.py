@@ -12,7 +12,7 @@ from palpate.physics.identifiability import NINETY
 
 INTERVAL = {"young_pa": 1e4, "young_low_pa": 8e3, "young_high_pa": 12.5e3}
 SD = math.log(12.5 / 8) / (2 * NINETY)
-"""Of log E, where a 90 % interval goes from 8 to 12.5."""
+"""Standard deviation of log E, where a 90 % interval goes from 8 to 12.5."""
 
 
 def written(folder: Path, name: str, text: str) -> Path:

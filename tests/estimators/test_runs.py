@@ -11,11 +11,13 @@ from hypothesis import strategies as some
 
 from palpate.api import open_estimator
 from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
+from palpate.estimators import run_tracker
 from palpate.estimators import runs as module
 from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import InteractionEstimate
-from palpate.estimators.runs import Run, RunTracker, frame_estimate
+from palpate.estimators.run_tracker import Run, RunTracker
+from palpate.estimators.runs import frame_estimate
 from palpate.physics.mechanics import Mechanics
 from tests.estimators.sessions import State, clip_info, follow, linked, prepared_frame, touched
 from tests.physics.sheets import sheet
@@ -56,7 +58,7 @@ def whole_clip_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[See
 
 
 def tracked_runs(frames: list[PreparedFrame], bridge_frames: int) -> list[Run]:
-    """Of a tracker to which the frames are given one by one."""
+    """Runs of a tracker to which the frames are given one by one."""
     tracker = RunTracker(clip_info(bridge_frames=bridge_frames), SECONDS)
     found = [tracker.push(frame) for frame in frames] + [tracker.finish()]
     assert tracker.finish() is None
@@ -111,8 +113,8 @@ def test_small_clips(words: str, runs: list[Seen]) -> None:
 
 def test_why_nothing_is_known_of_a_run() -> None:
     unseen, unfollowed = (tracked_runs(linked(clip_of(words), CONTACT), 2)[0] for words in ("oon", "noon"))
-    assert unseen.unobserved == module.NO_ONSET
-    assert unfollowed.unobserved == f"{unfollowed.detail} {module.NOT_FOLLOWED}".strip()
+    assert unseen.unobserved == run_tracker.NO_ONSET
+    assert unfollowed.unobserved == f"{unfollowed.detail} {run_tracker.NOT_FOLLOWED}".strip()
     assert len(unfollowed.builder.build(Mechanics()).observation) == 0
 
 
@@ -125,10 +127,10 @@ def judged(*probabilities: float) -> list[PreparedFrame]:
 def test_a_run_whose_tool_hovers_was_none_unless_tissue_ever_moved_with_it() -> None:
     passing, released, unknown = judged(0.7, 0.1, 0.0), judged(0.7, 0.95, 0.6, 0.2), judged(0.7, 0.8, 0.7)
     (run,) = tracked_runs(passing, 2)
-    assert (run.passed, run.unobserved, run.estimate().load_s) == (True, module.PASSED, None)
+    assert (run.passed, run.unobserved, run.estimate().load_s) == (True, run_tracker.PASSED, None)
     for frames in (released, unknown):
         (run,) = tracked_runs(frames, 2)
-        assert (run.passed, run.unobserved) == (False, module.NO_ONSET)
+        assert (run.passed, run.unobserved) == (False, run_tracker.NO_ONSET)
     # A tool that hovers long after another run says nothing of it.
     assert [run.passed for run in tracked_runs(judged(0.7, *[math.nan] * 4, 0.7, 0.1), 2)] == [False, True]
 
@@ -139,16 +141,12 @@ def test_a_run_that_begins_where_a_hovering_tool_stops_is_undecided() -> None:
     stands, sunk = State("ok", probability=0.7, undecided=True), State("ok", probability=0.99)
     frames = linked([State("no_contact"), hovers, stands, stands, hovers], CONTACT)
     (run,) = tracked_runs(frames, 2)
-    assert (run.passed, run.unobserved) == (False, f"{module.UNDECIDED} {module.NO_ONSET}")
+    assert (run.passed, run.unobserved) == (False, f"{run_tracker.UNDECIDED} {run_tracker.NO_ONSET}")
     told = frame_estimate(frames[2], clip_info(), whole=True)
-    assert (told.status, told.contact, told.touch.contact_probability, told.detail) == (
-        "ok",
-        True,
-        0.7,
-        module.UNDECIDED,
-    )
+    assert (told.status, told.contact, told.detail) == ("ok", None, run_tracker.UNDECIDED)
+    assert told.touch.contact_probability == pytest.approx(0.7)
     (run,) = tracked_runs(linked([State("no_contact"), hovers, stands, sunk, hovers], CONTACT), 2)
-    assert (run.passed, run.unobserved) == (False, module.NO_ONSET)
+    assert (run.passed, run.unobserved) == (False, run_tracker.NO_ONSET)
 
 
 def test_contact_after_hovering_has_no_onset() -> None:
@@ -160,7 +158,7 @@ def test_contact_after_hovering_has_no_onset() -> None:
 
 def test_frames_say_how_contact_is_known() -> None:
     told = [frame_estimate(frame, clip_info(), whole=True) for frame in judged(0.7, 0.95, 0.2, math.nan)]
-    assert [item.contact for item in told] == [True, True, False, False]
+    assert [item.contact for item in told] == [None, True, False, False]
     assert [item.touch.contact_probability for item in told] == [0.7, 0.95, 0.2, None]
     assert [item.detail for item in told[:2]] == [module.OUTLINES_ALONE, ""]
 

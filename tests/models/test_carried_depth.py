@@ -63,7 +63,7 @@ def test_steps_beyond_the_rollout_are_its_last_one(make_batch) -> None:
 
 
 def test_a_motion_along_the_line_of_sight_is_the_change_of_the_depth(make_batch) -> None:
-    """Of the pressed vertex, which lies on the optical axis: hardly anything shifts it sideways in its pixel."""
+    """Change at the pressed vertex, which lies on the optical axis: hardly anything shifts it sideways in its pixel."""
     batch = make_batch()
     depth, (mesh, load) = batch.a.window[:, -1:], parts(batch)
     load = [dataclasses.replace(press, direction=np.array([0.0, 0.0, -1.0])) for press in load]

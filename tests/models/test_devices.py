@@ -43,14 +43,14 @@ class Elsewhere(Tensor):
 
 
 class Operations(TorchDispatchMode):
-    """What is made for the other device, or moved there, is `Elsewhere`."""
+    """Mode in which what is made for the other device, or moved there, is `Elsewhere`."""
 
     def __torch_dispatch__(self, function, types, args=(), kwargs=None):
         return _computed(function, args, kwargs or {})
 
 
 class Constants(TorchFunctionMode):
-    """The same of `new_tensor`, which no dispatch mode sees."""
+    """Mode that does so for `new_tensor`, which no dispatch mode sees."""
 
     def __torch_function__(self, function, types, args=(), kwargs=None):
         if function is Tensor.new_tensor:
@@ -67,7 +67,7 @@ def two_devices() -> Iterator[None]:
 
 
 def _computed(function, args, kwargs):
-    """As on the CPU, if all of the tensors are on one device; copies may cross, and so may single numbers."""
+    """Compute as on the CPU, if all of the tensors are on one device; copies may cross, and so may single numbers."""
     tensors = [value for value in tree_leaves((args, kwargs)) if isinstance(value, Tensor)]
     elsewhere = any(isinstance(value, Elsewhere) for value in tensors)
     copies = function in (torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default)
@@ -85,7 +85,7 @@ def _computed(function, args, kwargs):
 
 
 def _moved(module: Module) -> Module:
-    """The same module on the other device."""
+    """Module moved to the other device."""
     moved = copy.deepcopy(module)
     for part in moved.modules():
         for name, values in part._parameters.items():

@@ -42,7 +42,7 @@ def plain(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def calibrated(plain: Path) -> Path:
-    """The same, calibrated by the observation's noise."""
+    """Export calibrated by the observation's noise."""
     calibrate(plain, plain.with_name("calibrated.onnx"), Calibration(WHOLE, noise_features=(8,)))
     return plain.with_name("calibrated.onnx")
 

@@ -57,15 +57,15 @@ def test_residuals_are_stacked_and_each_has_its_own_parameters() -> None:
 def test_depth_and_shading_of_one_press_constrain_it_more_than_depth_alone() -> None:
     contact, logs = contact_of(), logs_of()
     generator = np.random.default_rng(0)
-    rest = generator.normal(-1, 0.2, (SIDE, SIDE))
-    dark = contact.having(shading=ShadingSequence(contact.sequence.times, np.tile(rest, (8, 1, 1)), rest, 0.01))
+    rest, noise = generator.normal(-1, 0.2, (3, SIDE, SIDE)), np.full(3, 0.01)
+    dark = contact.having(shading=ShadingSequence(contact.sequence.times, np.tile(rest, (8, 1, 1, 1)), rest, noise))
     shading = ShadingObservation(dark)
     motion = PressMotion(dark, MECHANICS, shading.vertices, shading.times)
     start = np.append(logs, [each.mean for each in shading.nuisance])
-    light = shading.predicted(start, motion.at(logs)[0])[0].reshape(8, SIDE, SIDE)
+    light = shading.predicted(start, motion.at(logs)[0])[0].reshape(8, 3, SIDE, SIDE)
     light += generator.normal(0, 0.01, light.shape)
     assert np.nanmin(light - rest) < -0.1
-    both = contact.having(shading=ShadingSequence(shading.times, light.astype(np.float32), rest, 0.01))
+    both = contact.having(shading=ShadingSequence(shading.times, light.astype(np.float32), rest, noise))
     alone, joint = (
         JointLikelihood(observations, partial(PressMotion, both, MECHANICS))
         for observations in ([DepthObservation(both)], [DepthObservation(both), ShadingObservation(both)])

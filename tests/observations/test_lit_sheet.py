@@ -5,7 +5,7 @@ import numpy as np
 from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import MARGIN, REACH
 from palpate.data.source.camera import Camera, back_project
-from palpate.observations.lit_sheet import SIDE, LitSheet
+from palpate.observations.lit_sheet import SIDE, LitSheet, exchanged
 from palpate.physics.mesh import grid_mesh
 from palpate.physics.shading import log_brightness
 
@@ -15,10 +15,10 @@ PLAIN = np.array([0.0, 0.0, 0.0, 0.0, np.log(0.53), np.log(0.1), np.log(0.13), 0
 
 
 def lit(tilt=(0.0, 0.0), rest: np.ndarray | None = None) -> LitSheet:
-    """Of tissue at z = 0.6, pressed at row 50 and column 80."""
+    """Sheet of tissue at z = 0.6, pressed at row 50 and column 80."""
     mesh = grid_mesh(back_project(np.full((120, 214), 0.6), CAMERA), np.ones((120, 214), bool))
     side = FINE * SIDE
-    rest = np.zeros((side, side)) if rest is None else rest
+    rest = np.zeros((3, side, side)) if rest is None else rest
     return LitSheet(mesh, int(np.flatnonzero((mesh.pixels == [50, 80]).all(axis=1))[0]), rest, np.array(tilt))
 
 
@@ -30,13 +30,15 @@ def dented(sheet: LitSheet, depth: float, width: float = 2.0) -> np.ndarray:
 
 
 def test_at_rest_nothing_changes_and_every_pixel_shows_itself():
-    texture = np.random.default_rng(1).normal(size=(FINE * SIDE, FINE * SIDE))
+    texture = np.random.default_rng(1).normal(size=(3, FINE * SIDE, FINE * SIDE))
     sheet = lit((0.2, -0.1), texture)
     shown = sheet.shown(np.zeros((2, len(sheet.vertices), 3)), PLAIN + np.array([0, 0, 0.2, -0.1, 0, 0, 0, 0.2]))
     inner = sheet.inner.ravel()
-    np.testing.assert_allclose(shown.rest[:, inner], np.tile(texture.ravel()[inner], (2, 1)), atol=1e-9)
+    colours = np.tile(inner, 3)
+    np.testing.assert_allclose(shown.rest[:, colours], np.tile(texture.ravel()[colours], (2, 1)), atol=1e-9)
     np.testing.assert_allclose(shown.matt[:, inner], 1, atol=1e-9)
     np.testing.assert_allclose(shown.gloss[:, inner], shown.gloss_at_rest[:, inner], rtol=0.01)
+    np.testing.assert_allclose(shown.received, 0, atol=1e-9)
 
 
 def test_a_shallow_dent_darkens_as_the_surface_itself_says():
@@ -67,3 +69,22 @@ def test_a_dent_that_lies_aside_is_the_same_dent_elsewhere():
     shifted = np.roll(here, (2 * FINE, -FINE), axis=(0, 1))
     assert np.abs(there - here)[sheet.inner].max() > 0.1
     np.testing.assert_allclose(there[12:-12, 12:-12], shifted[12:-12, 12:-12], atol=0.02)
+
+
+def test_inside_a_sphere_every_place_receives_the_share_of_the_sphere_that_sends():
+    """Form factors within a sphere are the sending area over the whole one, wherever it lies."""
+    across = 0.8 * (np.arange(41) - 20) / 20
+    x, y = np.meshgrid(across, across)
+    depth = 3 + np.sqrt(4 - x**2 - y**2)  # hollow towards the camera
+    area = (across[1] - across[0]) ** 2 * 2 / np.sqrt(4 - x**2 - y**2)
+    found = exchanged(np.stack([x, y, depth], axis=-1)[None], np.ones((1, 41, 41)))[0]
+    expected = (area.sum() - area) / (4 * np.pi * 4)
+    np.testing.assert_allclose(found[2:-2, 2:-2], expected[2:-2, 2:-2], rtol=0.01)
+
+
+def test_walls_of_a_dent_light_each_other_and_a_hill_s_do_not():
+    sheet = lit()
+    inner = sheet.inner.ravel()
+    dent, hill = (sheet.shown(dented(sheet, depth), PLAIN).received[0, inner] for depth in (0.02, -0.02))
+    assert dent.max() > 0.1
+    assert hill.max() < 0.5 * dent.max()

@@ -25,7 +25,7 @@ def sheet(height: int = 10, width: int = 10, spacing: float = 0.01, keep: float 
 
 
 def loose(mesh: Mesh) -> Mesh:
-    """The same with no rim that is held."""
+    """Mesh with no rim that is held."""
     return dataclasses.replace(mesh, rim=np.zeros_like(mesh.rim))
 
 

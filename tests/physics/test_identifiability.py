@@ -54,7 +54,7 @@ def test_bounds_are_the_spread_of_least_squares() -> None:
 
 
 def test_a_box_counts_as_the_normal_distribution_of_its_variance() -> None:
-    """That of 200,000 uniform draws, within their sampling error of √(0.8/200,000) = 0.2 %, and width²/12."""
+    """Variance of 200,000 uniform draws, within their sampling error of √(0.8/200,000) = 0.2 %, and width²/12."""
     box = np.array([[-3.0, -5.0, -4.0], [0.0, -0.5, -3.0]])
     spread = np.linalg.inv(fisher.box_information(box))
     np.testing.assert_allclose(spread, np.diag([9.0, 20.25, 1.0]) / 12, rtol=1e-12, atol=1e-15)

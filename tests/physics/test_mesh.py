@@ -191,7 +191,7 @@ def test_forces_of_springs_are_summed_and_their_stiffness_is_their_product_s():
 
 
 def test_springs_of_a_grid_join_nodes_so_many_rows_and_columns_apart():
-    """Of two rows of three nodes, 0 to 5."""
+    """Two rows of three nodes, 0 to 5."""
     assert grid_springs((2, 3), 0, 1).tolist() == [[0, 1], [1, 2], [3, 4], [4, 5]]
     assert grid_springs((2, 3), 1, 0).tolist() == [[0, 3], [1, 4], [2, 5]]
     assert grid_springs((2, 3), 1, 1).tolist() == [[0, 4], [1, 5]]

@@ -27,7 +27,7 @@ PLANE = 0.5 + 0.0007 * COLUMNS - 0.0004 * ROWS
 """Depth that grows evenly from pixel to pixel."""
 CURVED = 0.5 + 0.01 * np.sin(COLUMNS / 5) + 0.008 * np.cos(ROWS / 4)
 SIZES = [(WIDTH, HEIGHT), (2 * WIDTH, 2 * HEIGHT), (3 * WIDTH - 5, 3 * HEIGHT - 2)]
-"""Of the picture."""
+"""Sizes of the picture."""
 
 
 def mesh_of(depth: np.ndarray, hole: tuple[int, int] | None = None) -> Mesh:

@@ -25,7 +25,7 @@ PRESS = np.stack([DEPTHS, DEPTHS, DEPTHS**2 / 2])
 """A tip that is pushed back by E·R·depth."""
 SIZE = np.array([0.08, 0.06, 0.04])
 APART = np.array([0.03, 0.0, 0.0])
-"""Of two balls that overlap [m]."""
+"""Distance of two balls that overlap [m]."""
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -39,7 +39,7 @@ def at(run: InteractionEstimate, onset: int) -> InteractionEstimate:
 
 
 def read(path: Path) -> dict[str, list]:
-    """Of every topic: time of recording [ns], then the verdict, or the header's time, frame, force and torque."""
+    """Messages by topic: time of recording [ns], then the verdict, or the header's time, frame, force and torque."""
     found: dict[str, list] = {}
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
         for connection, recorded, content in reader.messages():

@@ -29,7 +29,7 @@ def calibrated(folder: Path, **fields: Any) -> newtons.ClipCalibration:
 
 
 def concluded(told: newtons.ClipCalibration, *runs: InteractionEstimate, length: ClipLength = UNKNOWN):
-    """Of a clip with these runs of contact."""
+    """Calibration of a clip with these runs of contact."""
     for run in runs:
         told.add(run)
     told.conclude(length)

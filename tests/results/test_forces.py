@@ -61,7 +61,7 @@ def test_a_press_in_newtons_has_the_interval_of_its_calibration() -> None:
 
 
 def test_a_pull_is_relative_to_its_own_peak_and_unknown_where_frames_are_missing() -> None:
-    """Of eight frames the third, fourth, fifth and seventh tell something."""
+    """The third, fourth, fifth and seventh of eight frames are known."""
     times, force, sd = STEP * np.array([2, 3, 4, 6]), np.array([0.5, 2.0, 1.5, 1.0]), np.full(4, 0.1)
     grip = dataclasses.replace(GRIP, times=times, force=force, force_sd=sd)
     run = dataclasses.replace(NONE, grip=grip)

@@ -1,4 +1,4 @@
-"""What is drawn on a frame."""
+"""Drawings on a frame."""
 
 import dataclasses
 

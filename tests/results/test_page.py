@@ -35,7 +35,7 @@ BROKEN = "<img src=x onerror=alert(1)>.mp4"
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory, blank_module: None) -> Path:
-    """Of a clip, and of a file that is no video, both with names that a page must escape."""
+    """Results of a clip, and of a file that is no video, both with names that a page must escape."""
     folder = tmp_path_factory.mktemp("pages")
     clip = write_clip(folder / "clips", 1, SCENE, 3)
     clip.with_suffix(".mp4").unlink()

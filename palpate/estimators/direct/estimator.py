@@ -27,7 +27,8 @@ from palpate.estimators.direct.motion import FITTED
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import PressSettings, onset_error
-from palpate.estimators.runs import RECORDED, WHOLE, RunSession, frame_estimate
+from palpate.estimators.run_tracker import RECORDED
+from palpate.estimators.runs import WHOLE, RunSession, frame_estimate
 from palpate.observations.kinds import OBSERVATIONS
 from palpate.physics.load import Press, held
 from palpate.physics.mechanics import PARAMETERS, RECOMMENDED, Bounds, Mechanics

@@ -218,8 +218,8 @@ def _concluded(problem: JointLikelihood, logs: np.ndarray) -> PressResult:
         **known,
         covariance=covariance[:3, :3] + shading.law_covariance,
         information=about_tissue(best.information, prior),
-        noise=shading.noise,
-        misfit=shading.noise / max(shading.sequence.noise, 1e-9),
+        noise=float(shading.noise.mean()),
+        misfit=float(shading.noise.mean() / max(shading.sequence.noise.mean(), 1e-9)),
         light=LightFit(
             1 - shading.skill, float(mean[-1]) if mean[-1] > NINETY * math.sqrt(covariance[-1, -1]) else 0.0
         ),

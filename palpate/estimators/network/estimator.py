@@ -21,7 +21,8 @@ from palpate.estimators.network.misfit import compared, largest_misfit
 from palpate.estimators.oblique import effective_misfit, is_oblique, remark, view_angle, widened
 from palpate.estimators.onset import PressSettings, onset_error
 from palpate.estimators.records import FrameEstimate
-from palpate.estimators.runs import WHOLE, Run, RunSession, finite, force_arrow, frame_estimate
+from palpate.estimators.run_tracker import Run
+from palpate.estimators.runs import WHOLE, RunSession, finite, force_arrow, frame_estimate
 from palpate.models.onnx_session import CONTACT, ModelFileError, PosteriorModel
 from palpate.observations.depth import DepthObservation
 from palpate.physics.load import Press, held

@@ -28,7 +28,8 @@ from palpate.estimators.online.particle_field import FieldResult, ParticleField,
 from palpate.estimators.online.settings import OnlineSettings, load_settings
 from palpate.estimators.online.surface import make_surface
 from palpate.estimators.records import InteractionEstimate
-from palpate.estimators.runs import Run, RunSession, frame_estimate
+from palpate.estimators.run_tracker import Run
+from palpate.estimators.runs import RunSession, frame_estimate
 from palpate.physics.mechanics import Mechanics
 
 

@@ -1,4 +1,4 @@
-"""What is written for a clip, a class a file.
+"""Files written for a clip, a class a file.
 
 base       Artefact, and the registry: built-ins, and entry points of the group `palpate.artefacts`
 tables     parameters.csv, interactions.csv, calibrated.csv; forces: forces.json; results: results.json

@@ -52,7 +52,7 @@ class ContactForce:
     its F, without interval."""
     unit: str
     why: str
-    """Why it is unknown somewhere."""
+    """Reason why it is unknown somewhere."""
     pressed: np.ndarray
     """Force profile of a press, its force over F, where that was observed, shape [T]: with F it is the force."""
     direction: np.ndarray | None
@@ -118,7 +118,7 @@ class ContactForce:
         return np.concatenate([curves[:1] / peak, np.sort(curves[1:] / peak, axis=0)])
 
     def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
-        """What forces.json has of the run.
+        """Entry of the run in forces.json.
 
         Args:
             estimates: of all of the clip's frames.
@@ -192,7 +192,7 @@ def _pressed(run: InteractionEstimate, found: PressResult, since: np.ndarray, se
 
 
 def _risen(since: np.ndarray, duration: float) -> np.ndarray:
-    """How much of a ramp of some duration has risen since it began, shape as given."""
+    """Share of a ramp of some duration that has risen since it began, shape as given."""
     return np.clip(since / duration, 0, 1) if duration else (since >= -SAME_INSTANT).astype(np.float64)
 
 

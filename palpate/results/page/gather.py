@@ -1,4 +1,4 @@
-"""What the pages show: a folder of results as plain dicts, with the numbers of its files."""
+"""Content of the pages: a folder of results as plain dicts, with the numbers of its files."""
 
 import json
 from collections import Counter
@@ -23,7 +23,7 @@ FIXES = {
     "not exported": "Contacts are exported where stiffness, damping and force are all determined.",
     "reached the limit": "The limit is that of --force-limit.",
 }
-"""What to do about a warning that has these words."""
+"""Remedies for a warning that has these words."""
 QUESTIONS = {"k_s": "How stiff?", "k_d": "How damped?", "|F|": "How hard?", "mean F": "How hard?"}
 QUESTIONS |= {"k_d/k_s": "Damping over stiffness", "|F|/k_s": "Force over stiffness"}
 """Headings of numbers by symbol."""
@@ -35,7 +35,7 @@ def clip_folders(output: Path) -> list[Path]:
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """What the page of a batch shows of a clip: name, runs of contact and frames by what was found, warnings.
+    """Content about a clip on the page of a batch: name, runs of contact and frames by what was found, warnings.
 
     Raises:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
@@ -56,7 +56,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 
 def clip_of(folder: Path) -> dict[str, Any]:
-    """What a clip's page shows.
+    """Content of a clip's page.
 
     Raises:
         OSError: a file can't be read.
@@ -92,7 +92,7 @@ def _fix(warning: str, states: Iterable[str]) -> str:
 
 
 def contacts_of(folder: Path) -> list[dict[str, Any]]:
-    """What is shown of a video's contacts."""
+    """Content about a video's contacts."""
     report, runs = _json(folder / store.REPORT)["contacts"], _json(folder / store.RESULTS)["contacts"]
     found = []
     for run, forces in zip(runs, report, strict=True):
@@ -128,7 +128,7 @@ def contact_numbers(run: Mapping[str, Any], force: Mapping[str, Any]) -> list[tu
 def _curves(
     record: Mapping[str, Any], frames: list[dict[str, Any]], contacts: list[dict[str, Any]], first: Any
 ) -> dict[str, Any]:
-    """What the page's script draws, by frame and by contact; what is not known is None."""
+    """Values that the page's script draws, by frame and by contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "contacts": []}
     for name in ("frame", "time_s", *CURVES):
         found[name] = [frame[name] for frame in frames]

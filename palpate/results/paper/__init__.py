@@ -1,4 +1,4 @@
-"""What `train.py test` writes: table 2 and figure 3 of Bini 2026, and checks that these leave out.
+"""Files that `train.py test` writes: table 2 and figure 3 of Bini 2026, and checks that these leave out.
 
 report      all files of an evaluation: tables (CSV) and figures (PNG)
 statistics  means with intervals, paired tests, and whether the network gives the same θ for every input

@@ -161,7 +161,7 @@ def settle(trajectories: np.ndarray, load_steps: np.ndarray, mechanics: Mechanic
 
 
 def median_share(trajectories: np.ndarray) -> float:
-    """How high the median displacement rises, as a share of the highest peak of all (Bini 2026, figure 3b).
+    """Height to which the median displacement rises, as a share of the highest peak of all (Bini 2026, figure 3b).
 
     Args:
         trajectories: as in `settle`; those that aren't finite are left out.

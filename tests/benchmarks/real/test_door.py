@@ -28,11 +28,11 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 judged = functools.cache(evaluate_pull)
-"""What is said of a clip, however often a door asks for it."""
+"""Judgement of a clip, however often a door asks for it."""
 
 
 def twin(clip: PulledClip) -> PulledClip:
-    """Of the same pictures: `other` is drawn as `pull` is."""
+    """Clip of the same pictures: `other` is drawn as `pull` is."""
     same = {name: getattr(clip, name) for name in ("path", "layout_file")}
     return replace(clip, **{name: path.with_name(path.name.replace("other", "pull")) for name, path in same.items()})
 

@@ -140,7 +140,7 @@ def test_without_a_sequence_there_is_no_information_of_it() -> None:
 
 
 def test_unknown_instants_are_even_within_a_frame() -> None:
-    """What is left is the block of the covariance, with the variance of an even spread from -1 to 1 before."""
+    """The rest is the block of the covariance, with the variance of an even spread from -1 to 1 before."""
     slopes = np.random.default_rng(1).normal(size=(4, 3, 20, 5))
     information = np.einsum("abkp,abkq->abpq", slopes, slopes)
     stamped, between = limits.known(information, STAMP), limits.known(information, BETWEEN)

@@ -51,7 +51,7 @@ def test_tool_pixels_that_a_mask_leaves_to_the_tissue_do_not_fake_contact(leak: 
 
 
 def test_tissue_that_all_moves_alike_is_an_error_of_the_background() -> None:
-    """The same motion of all points beside the tool, of the size of the background's error, speaks for nothing."""
+    """Equal motion of all points beside the tool, of the size of the background's error, speaks for nothing."""
     still = ring()
     carried = dataclasses.replace(still, moved=still.moved + np.array([0.5, 0.0]), background_sd=0.5)
     assert log_ratio(carried) < 0
@@ -68,7 +68,7 @@ def test_it_is_the_ratio_of_marginal_likelihoods(monkeypatch: pytest.MonkeyPatch
     own = observed.noise**2 + observed.background_sd**2
 
     def density(off: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
-        """Of every point's [20, 2]."""
+        """Density of every point's [20, 2]."""
         return np.exp(-np.square(off).sum(axis=1) / (2 * variance)) / (2 * math.pi * variance)
 
     axis = np.array([-1.8, -0.9, 0.0, 0.9, 1.8])

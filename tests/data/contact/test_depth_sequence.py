@@ -20,7 +20,7 @@ SIDE = 2 * depth_sequence.REACH + 1
 CAMERA = Camera.from_field_of_view(60, WIDTH, HEIGHT)
 SIGMA = 1e-3
 STEP = 1 / 255
-"""Of depth in 8 bits."""
+"""Step of depth in 8 bits."""
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
 REST = (0.5 + 0.02 * np.sin(COLUMNS / 31) + 0.0007 * ROWS).astype(np.float32)
 TISSUE_ALL = np.full((HEIGHT, WIDTH), TISSUE, np.uint8)
@@ -44,7 +44,7 @@ def recorder(sigma: float = SIGMA) -> depth_sequence.SequenceRecorder:
 
 
 def noise_of(frames: np.ndarray, sigma: float = SIGMA) -> depth_sequence.SequenceNoise:
-    """As measured in frames of errors [N, H, W] about tissue at rest."""
+    """Noise as measured in frames of errors [N, H, W] about tissue at rest."""
     made = recorder(sigma)
     for errors in frames:
         assert made.frame(seen(REST + errors)) is not None

@@ -17,7 +17,7 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import open_source
 from palpate.data.training.samples import SampleSettings, builder_of
 from palpate.estimators.contract import ClipInfo
-from palpate.estimators.runs import Run, RunTracker
+from palpate.estimators.run_tracker import Run, RunTracker
 from palpate.physics.mechanics import Mechanics
 from tests.data.clips import GRID, SETTINGS, remove_depth, remove_frame, stored, write_clip
 

@@ -142,7 +142,7 @@ def test_a_shadow_that_comes_with_the_instrument_is_no_press(wide):
 
 
 def test_a_press_goes_on_while_its_instrument_hides_all_but_the_dent_s_rim():
-    """As its mask may, of frames in which it stands."""
+    """Its mask may do so in frames in which it stands still."""
     darkness = [0.0] * 8 + [0.4, 0.6, 0.6, 0.6, 0.6, 0.6, 0.6]
     frames = [prepared(index, dark, tool=index >= 4) for index, dark in enumerate(darkness)]
     rows, columns = (np.indices((240, 320)) + 0.5) / 4 - 0.5

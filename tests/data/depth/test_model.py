@@ -322,7 +322,7 @@ def rename_outputs(path, target, names: dict[str, str]) -> None:
 
 
 SMALL = {"hidden_size": 16, "num_attention_heads": 2, "intermediate_size": 32}
-"""Of a vision transformer."""
+"""Size of a vision transformer."""
 
 
 def enliven(network) -> None:

@@ -37,7 +37,7 @@ PICTURE = texture()
 
 @pytest.fixture
 def registration() -> Registration:
-    """That of a clip which begins with the picture."""
+    """Registration of a clip that begins with the picture."""
     begun = Registration(GRID)
     push(begun, PICTURE, labels())
     return begun

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from palpate.data.shading.light import FINE
-from palpate.data.shading.sequence import KEPT, MARGIN, REACH, RestingLight, ShadingRecorder, change_of_light
+from palpate.data.shading.sequence import KEPT, MARGIN, REACH, RestingLight, ShadingRecorder, change_of_light, smoothed
 
 SHAPE = (120, 160)
 SIDE = FINE * (2 * (REACH + MARGIN) + 1)
 
 
-TEXTURE = np.random.default_rng(1).normal(-1, 0.3, SHAPE)
+TEXTURE = np.random.default_rng(1).normal(-1, 0.3, (3, *SHAPE))
+"""Of three colours."""
 
 
-def seen(light: np.ndarray) -> SimpleNamespace:
+def seen(light: np.ndarray, out_of_contact: bool = False) -> SimpleNamespace:
     """A frame of a camera that stands still."""
-    return SimpleNamespace(light=light, light_view=None)
+    return SimpleNamespace(light=light, light_view=None, out_of_contact=out_of_contact)
 
 
 def recorder(row: int = 30, column: int = 40) -> ShadingRecorder:
@@ -48,32 +49,35 @@ def test_rest_is_that_of_the_frames_that_show_a_place(count):
 
 
 def test_gain_and_a_slope_over_the_picture_are_taken_off_and_a_dent_stays():
-    noise, (rows, columns) = np.random.default_rng(2).normal(0, 0.01, SHAPE), np.indices(SHAPE) / 160
+    noise, (rows, columns) = np.random.default_rng(2).normal(0, 0.01, (3, *SHAPE)), np.indices(SHAPE) / 160
+    noise *= np.array([1, 2, 3])[:, None, None]
     dent = np.zeros(SHAPE)
     dent[58:66, 76:84] = -0.5
-    light = TEXTURE + 0.2 - 0.1 * rows + 0.05 * columns + dent + noise
-    np.testing.assert_allclose(change_of_light(light, TEXTURE), dent + noise, atol=0.003)
+    gains = np.array([0.2, 0.3, -0.1])[:, None, None]
+    light = TEXTURE + gains - 0.1 * rows + 0.05 * columns + dent + noise
+    np.testing.assert_allclose(change_of_light(light[0], TEXTURE[0]), dent + noise[0], atol=0.003)
     made = recorder()
     found = made.record(np.array([0.04]), [made.frame(seen(light))])
     first = FINE * (np.array([30, 40]) - REACH - MARGIN)
-    window = np.s_[first[0] : first[0] + SIDE, first[1] : first[1] + SIDE]
-    np.testing.assert_allclose(found.light[0] - found.rest, (dent + noise)[window], atol=0.003)
-    assert abs(found.noise - 0.01) < 0.001
+    window = np.s_[:, first[0] : first[0] + SIDE, first[1] : first[1] + SIDE]
+    np.testing.assert_allclose(found.light[0] - found.rest, (dent + noise)[window], atol=0.006)
+    np.testing.assert_allclose(found.noise, [0.01, 0.02, 0.03], rtol=0.1)
 
 
 def test_what_lies_outside_the_picture_is_not_known():
-    found = recorder(2, 3).frame(seen(TEXTURE))
+    made = recorder(2, 3)
+    found = made.record(np.array([0.04]), [made.frame(seen(TEXTURE))]).light[0]
     outside = FINE * (REACH + MARGIN - np.array([2, 3]))
-    assert np.isnan(found[: outside[0]]).all()
-    assert np.isnan(found[:, : outside[1]]).all()
-    assert np.isfinite(found[outside[0] :, outside[1] :]).all()
+    assert np.isnan(found[:, : outside[0]]).all()
+    assert np.isnan(found[..., : outside[1]]).all()
+    assert np.isfinite(found[:, outside[0] :, outside[1] :]).all()
 
 
 def test_a_frame_that_shows_too_little_tells_no_gain():
     light = TEXTURE.copy()
-    light[:, 20:] = np.nan
+    light[..., 20:] = np.nan
     assert recorder().frame(seen(light)) is None
-    assert change_of_light(np.full(SHAPE, np.nan), TEXTURE) is None
+    assert change_of_light(np.full(SHAPE, np.nan), TEXTURE[0]) is None
 
 
 def test_some_frames_of_a_sequence():
@@ -81,4 +85,34 @@ def test_some_frames_of_a_sequence():
     frames = [made.frame(seen(TEXTURE + gain)) for gain in (0.0, 0.1, 0.2)]
     found = made.record(np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
     np.testing.assert_array_equal(found.times, [0.1, 0.3])
-    assert found.light.shape == (2, SIDE, SIDE)
+    assert found.light.shape == (2, 3, SIDE, SIDE)
+
+
+@pytest.mark.parametrize(("released", "expected"), [(True, (12, -20)), (False, (0, 0))])
+def test_light_is_that_around_the_dent_which_shows_after_the_release(released, expected):
+    """A mask that ends too early puts the contact 20 columns beside the dent; under the tool nothing is clear."""
+    pixels = np.moveaxis(np.indices((60, 80)), 0, -1).reshape(-1, 2)
+    made = ShadingRecorder(TEXTURE, np.array([30, 60]), None, pixels)
+    rows, columns = np.indices(SHAPE) / FINE
+    dent = -0.3 * np.exp(-0.5 * (np.square(rows - 42) + np.square(columns - 40)) / 2**2)
+    frames = [made.frame(seen(TEXTURE + dent, released)) for _ in range(4)]
+    found = made.record(np.arange(1, 5) / 25, frames)
+    assert np.abs(np.array(found.aside) - expected).max() <= 1
+    darkest = (found.light[0, 0] - found.rest[0]).min()
+    assert darkest == pytest.approx(-0.3 if released else 0.0, abs=0.01)
+
+
+def test_a_dent_at_the_contact_is_not_left_for_a_shadow_elsewhere():
+    pixels = np.moveaxis(np.indices((60, 80)), 0, -1).reshape(-1, 2)
+    made = ShadingRecorder(TEXTURE, np.array([30, 60]), None, pixels)
+    change = np.zeros(SHAPE)
+    change[56:64, 116:124], change[20:28, 60:68] = -0.2, -0.3
+    found = made.record(np.arange(1, 5) / 25, [made.frame(seen(TEXTURE + change, True)) for _ in range(4)])
+    assert found.aside == (0, 0)
+
+
+def test_means_of_changes_leave_out_what_a_mask_leaves_of_an_instrument():
+    change = np.full((40, 40), -0.1)
+    change[10:14, 10:14] = -2.0
+    np.testing.assert_allclose(smoothed(change)[20:], -0.1, rtol=1e-5)
+    assert np.nanmin(smoothed(change)) > -0.11

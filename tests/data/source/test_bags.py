@@ -21,7 +21,7 @@ FORMATS = ("clip.bag", "clip_mcap", "clip_db3")
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_bag_gives_pictures_and_the_times_of_their_headers(tmp_path, name):
-    """Of ROS 2 the folder and the file in it; two pictures are missing after the second."""
+    """ROS 2: the folder and the file in it; two pictures are missing after the second."""
     stamps = (0, 1, 4, 5, 6)
     path = write_bag(
         tmp_path / name, lambda make: [("/a", make.compressed(*pair)) for pair in zip(stamps, PICTURES, strict=True)]

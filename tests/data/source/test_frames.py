@@ -241,7 +241,7 @@ def test_left_and_right_pictures_in_one_folder_are_named(tmp_path, pattern):
 
 
 def test_a_search_that_has_no_end_is_a_sentence(tmp_path, monkeypatch):
-    """As of a link to `/`; the clips before it are no answer."""
+    """A link to `/`; the clips before it are no answer."""
     monkeypatch.setattr(discovery, "MOST_FOLDERS", 20)
     for index in range(19):
         (tmp_path / "many" / f"{index}").mkdir(parents=True)
@@ -298,7 +298,7 @@ def test_what_is_no_file_costs_its_own_frame_only(tmp_path, kind):
 
 @pytest.mark.parametrize("size", [(100_000, 100_000), (30_000, 30_000), (8192, 4097), (100_000, 400)])
 def test_a_picture_that_declares_more_than_anybody_takes_is_not_unpacked(tmp_path, size):
-    """Of a few kB, and only its first rows are really there."""
+    """A file of a few kB, and only its first rows are really there."""
     content = png(*size, 2, b"\0" * (3 * size[0] + 1) * min(size[1], 64))
     place, error = spoiled(tmp_path, lambda place: place.write_bytes(content))
     assert error == f"{place} is {size[0]}x{size[1]}, more than 34 million pixels; store it smaller."

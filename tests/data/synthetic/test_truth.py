@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palpate.data.synthetic import truth as truths
+from palpate.data.synthetic.integration import cut_window
 from palpate.data.synthetic.scene import Scene, SceneError, draw_scene
 from palpate.data.synthetic.settings import SceneSettings
-from palpate.data.synthetic.truth import PressedMotion, cut_window, draw_motion, draw_shape, draw_theta, simulate_motion
+from palpate.data.synthetic.truth import PressedMotion, draw_motion, draw_shape, draw_theta, simulate_motion
 from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.msd.simulation import simulate
@@ -81,7 +82,7 @@ def test_first_instants_follow_the_closed_form(scene: Scene, motion: PressedMoti
 
 
 def test_a_wider_window_changes_nothing(scene: Scene, motion: PressedMotion, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("palpate.data.synthetic.truth._reach", lambda *_: 200)
+    monkeypatch.setattr("palpate.data.synthetic.integration._reach", lambda *_: 200)
     whole = simulate_motion(scene, THETA, ONSET, RELEASE)
     assert len(whole.moving) == len(scene.mesh.vertices)
     np.testing.assert_allclose(whole.response, motion.response, atol=3e-6)

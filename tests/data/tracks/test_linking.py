@@ -32,7 +32,7 @@ ALL = np.ones(len(PLACES), bool)
 
 
 def grid_of(motion: tuple[float, float]) -> np.ndarray:
-    """The same motion at all places of a grid 8 px apart."""
+    """Equal motion at all places of a grid 8 px apart."""
     rows, columns = len(range(8, HEIGHT - 8, 8)), len(range(8, WIDTH - 8, 8))
     return np.broadcast_to(np.float32(motion), (rows, columns, 2))
 
@@ -106,7 +106,7 @@ def test_neighbours_on_the_grid_that_are_seen_tell_a_motion_together() -> None:
 
 
 def test_the_filter_widens_no_motion_that_dies_away() -> None:
-    """Of u = cos(kx) a Gaussian leaves exp(-k²σ²/2); twice it less a wider one errs in the fourth order only."""
+    """A Gaussian turns u = cos(kx) into exp(-k²σ²/2); twice it less a wider one errs in the fourth order only."""
     grid = np.ones((60, 60), bool)
     linker = linking.Linker(grid, 8)
     columns = np.tile(np.arange(60.0), 60)

@@ -55,7 +55,7 @@ def test_a_release_that_came_later_holds_the_force_for_longer() -> None:
 
 
 def doubted(**changes) -> str:
-    """What is doubted of an estimate with these changes."""
+    """Doubt about an estimate with these changes."""
     return doubts(dataclasses.replace(ESTIMATE, **changes), RECOMMENDED)
 
 

@@ -38,13 +38,13 @@ SIGMA = 1e-3
 WITHIN = 0.04
 HEIGHT, WIDTH = 33, 35
 SIZE, LARGER = (WIDTH, HEIGHT), (3 * WIDTH + 4, 3 * HEIGHT + 4)
-"""Of pictures that are the grid, and that are brought to it."""
+"""Sizes of pictures that are the grid, and that are brought to it."""
 SIDE = 2 * REACH + 1
 PIXELS = SIDE * SIDE
 REGIMES = {"under-damped": (0.4, 0.015, -0.05), "critical": (0.3, 0.035, -0.06), "over-damped": (0.2, 0.06, -0.06)}
 THETA = REGIMES["critical"]
 ENDS = [-3.0, -5.0, -4.0], [0.0, -2.0, -1.0]
-"""Of what fits may find, in log θ."""
+"""Ends of what fits may find, in log θ."""
 
 
 def curved_mesh(hole: tuple[int, int] | None = None) -> Mesh:
@@ -90,7 +90,7 @@ def contact_of(
 
 
 def with_change(contact: Interaction, change: np.ndarray) -> Interaction:
-    """The same with another depth-change sequence [N, S, S] (or [N, P])."""
+    """Contact with another depth-change sequence [N, S, S] (or [N, P])."""
     change = np.asarray(change, np.float32).reshape(contact.sequence.change.shape)
     return contact.having(depth=dataclasses.replace(contact.sequence, change=change))
 
@@ -211,7 +211,7 @@ def test_what_is_hidden_does_not_count() -> None:
 
 
 def test_an_error_of_the_rest_surface_costs_little() -> None:
-    """As much as the normal numbers it is made of, where noise of its size in every frame would cost far more."""
+    """It costs as much as its normal numbers, where noise of its size in every frame would cost far more."""
     problem = problem_of(contact_of())
     factors = np.random.default_rng(3).normal(size=smooth_errors(SIGMA).shape[1])
     error = np.tile(smooth_errors(SIGMA) @ factors, (len(TIMES), 1))

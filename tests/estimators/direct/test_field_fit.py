@@ -30,7 +30,7 @@ def starts_of(contact: Interaction) -> np.ndarray:
 
 
 def errors(estimate: PressResult, theta: tuple[float, float, float]) -> np.ndarray:
-    """Of log θ, in the estimate's own standard deviations."""
+    """Errors of log θ, in the estimate's own standard deviations."""
     return np.log(estimate.theta / theta) / estimate.log_sd
 
 

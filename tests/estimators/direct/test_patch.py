@@ -118,7 +118,7 @@ def test_a_press_of_any_shape_is_found_with_its_tissue() -> None:
 
 
 def test_whole_dents_may_lie_aside_and_be_too_deep() -> None:
-    """As random errors of that kind, drawn; where a pixel of the grid is one of the picture nothing is."""
+    """Compared with drawn random errors of that kind; where a pixel of the grid is one of the picture nothing is."""
     random, frames = np.random.default_rng(3), len(TIMES)
     problem = dent_problem(sequence_of(SHAPE), MECHANICS, kind=PatchMotion)
     rows, columns = np.mgrid[:SIDE, :SIDE]

@@ -26,15 +26,15 @@ TIMES = FRAME_S * np.arange(1, 11)
 
 def lit_contact(noise: float = 0.02) -> Interaction:
     """A press for five frames; some places at rest, and others in single frames, show no tissue."""
-    generator, shape = np.random.default_rng(6), (FINE * SIDE, FINE * SIDE)
+    generator, shape = np.random.default_rng(6), (3, FINE * SIDE, FINE * SIDE)
     rest = generator.normal(-1.5, 0.2, shape)
     light = rest + generator.normal(0, 0.02, (len(TIMES), *shape))
-    rest[19:23, 15:18], light[:, 8:12, 24:30], light[3, 30:34, 18:22] = np.nan, np.nan, np.nan
-    light[:, 18:24, 14:19] += 0.6  # what hides there is no tissue, and another light
+    rest[:, 19:23, 15:18], light[..., 8:12, 24:30], light[3, :, 30:34, 18:22] = np.nan, np.nan, np.nan
+    light[..., 18:24, 14:19] += 0.6  # what hides there is no tissue, and another light
     sheet = lit(rest=rest)
     load = Press.at(sheet.vertex, sheet.normal, held(0.2 / FITTED.time_step, FITTED.steps))
     nothing = Observation.of_point(sheet.vertex, TIMES, np.full((len(TIMES), 3), np.nan), np.nan)
-    sequence = ShadingSequence(TIMES, light.astype(np.float32), rest, noise)
+    sequence = ShadingSequence(TIMES, light.astype(np.float32), rest, np.full(3, noise))
     return Interaction(sheet.mesh, load, {"point": nothing, "shading": sequence}, FITTED.time_step)
 
 
@@ -60,7 +60,7 @@ def test_places_that_come_to_show_count_from_the_next_look_on(problem):
     shows = np.isfinite(predicted(problem, logs)[0])
     harder = logs + np.array([0, 0, 2.5, *[0] * (len(logs) - 3)])  # tissue is shifted farther
     light, _ = predicted(problem, harder)
-    comes = np.isfinite(light) & ~shows & np.isfinite(shading.observed) & shading.sheet.inner.ravel()
+    comes = np.isfinite(light) & ~shows & np.isfinite(shading.observed) & np.tile(shading.sheet.inner.ravel(), 3)
     assert comes.any()
     assert (shading.compared(light)[1][comes] == 0).all()
     problem.look(harder)
@@ -72,9 +72,9 @@ def test_derivatives_by_the_press_and_by_the_law(problem):
     logs[-1] = 0.0  # without a lag
     light, slopes = problem.first.tangent(*problem.motion.at(problem.press(logs)), logs)
     expected, law = predicted(problem, logs)
-    known = np.isfinite(light) & problem.first.sheet.inner.ravel()
+    known = np.isfinite(light) & np.tile(problem.first.sheet.inner.ravel(), 3)
     np.testing.assert_allclose(light[known], expected[known], atol=1e-3)
-    np.testing.assert_allclose(slopes[..., -3][known], law[known], atol=2e-3)  # by the response's logarithm
+    np.testing.assert_allclose(slopes[..., -4][known], law[known], atol=2e-3)  # by the response's logarithm
     step = 1e-3 * np.eye(len(logs))[0]
     ahead, behind = (predicted(problem, each)[0][known] for each in (logs + step, logs - step))
     numeric = (ahead - behind) / 2e-3
@@ -101,7 +101,7 @@ def test_marginalised_amplitude_is_the_inverse_of_the_whole_covariance():
 
 
 def test_a_contact_in_which_nothing_moves_stays_a_step(problem, monkeypatch):
-    """As one of a single frame, whose force may have ended before it began."""
+    """So does one of a single frame, whose force may have ended before it began."""
     monkeypatch.setattr(problem.motion, "coarse", lambda _: np.zeros((4, 3)))
     logs = start(problem)
     problem.look(logs)

@@ -29,7 +29,7 @@ DECAY = 40.0
 
 
 SIDE = 61
-"""Of the grid that the tissue's depth has [px]."""
+"""Side of the grid that the tissue's depth has [px]."""
 
 
 def dome() -> Mesh:

@@ -74,7 +74,7 @@ def test_overconfident_estimates_become_calibrated_at_any_width() -> None:
 
 
 def test_a_noise_between_two_others_may_be_the_worst() -> None:
-    """As that of rounding: errors that are three times as large there only."""
+    """Noise like that of rounding: errors that are three times as large there only."""
     generator = np.random.default_rng(1)
     noise = generator.choice([0.4, 0.6, 1.5], 2400)
     factor = np.where(noise == 0.6, 3.0, 1.0)

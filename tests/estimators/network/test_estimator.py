@@ -43,7 +43,7 @@ def contact(pressed, frames: list[PreparedFrame]) -> Interaction:
 
 @pytest.fixture(scope="module")
 def with_sequence(pressed, frames: list[PreparedFrame]) -> Interaction:
-    """The same with its depth-change sequence."""
+    """Contact with its depth-change sequence."""
     return built(pressed, frames, SIZE)
 
 
@@ -60,7 +60,7 @@ def built(pressed: SyntheticClip, frames: list[PreparedFrame], size: tuple[int, 
 
 
 def estimated(network: NetworkEstimator, contact: Interaction) -> PressResult:
-    """Of a contact at 25 frames a second."""
+    """Estimate of a contact at 25 frames a second."""
     return network.start(clip_info()).estimate(contact, None)
 
 
@@ -73,7 +73,7 @@ def added_by(misfit: float, information: np.ndarray) -> np.ndarray:
 
 
 def moved(contact: Interaction, displacement: np.ndarray, noise: float | None = None) -> Interaction:
-    """The same instants with other displacements [N, 3], and maybe another noise."""
+    """Contact of the same instants with other displacements [N, 3], and maybe another noise."""
     noise = contact.noise if noise is None else noise
     return contact.having(point=contact.observation.moved(displacement, noise))
 
@@ -146,7 +146,7 @@ def test_one_observation_is_too_early(posterior, frames: list[PreparedFrame]) ->
 
 
 def remarked(frames: list[PreparedFrame]) -> list[PreparedFrame]:
-    """The same with a remark in every frame in contact."""
+    """Frames with a remark in every frame in contact."""
     return [dataclasses.replace(frame, detail=LOST if frame.in_contact else "") for frame in frames]
 
 

@@ -27,9 +27,9 @@ def network() -> NetworkEstimator:
 def watched() -> list[PreparedFrame]:
     """Tissue at rest for six frames, and pressed for ten, in which it darkens."""
     mesh, vertex = facing()
-    rest = np.random.default_rng(3).normal(-1, 0.1, (FINE * SIZE[1], FINE * SIZE[0])).astype(np.float32)
+    rest = np.random.default_rng(3).normal(-1, 0.1, (3, FINE * SIZE[1], FINE * SIZE[0])).astype(np.float32)
     first = FINE * (mesh.pixels[vertex] - REACH - MARGIN)
-    window = tuple(slice(max(begin, 0), begin + SIDE) for begin in first)
+    window = ..., *(slice(max(begin, 0), begin + SIDE) for begin in first)
     frames = [prepared_frame(index, "no_contact", make_light=lambda: rest) for index in range(6)]
     found = touched(mesh, vertex, np.array([0.0, 0.0, -1.0]), 0.001)
     known = {"track_start": 6, "track_position": mesh.vertices[vertex], "consecutive": True}

@@ -76,7 +76,7 @@ def test_a_press_at_other_instants_is_explained_where_they_are_unknown(began: in
 
 
 def test_few_observations_may_lie_farther_from_the_motion_by_chance() -> None:
-    """As rarely as 25 lie beyond 1.5 σ."""
+    """They do as rarely as 25 lie beyond 1.5 σ."""
     assert largest_misfit(25) == pytest.approx(LARGEST_MISFIT, abs=0.005)
     assert largest_misfit(40) == LARGEST_MISFIT
     misfits = np.sqrt(np.square(np.random.default_rng(0).normal(size=(400_000, 5))).mean(axis=1))

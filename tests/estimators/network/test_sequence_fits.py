@@ -29,7 +29,7 @@ def random_sequences(count: int = 3) -> DepthSequences:
 
 
 def test_sequence_information_is_that_of_the_whole_covariance() -> None:
-    """Of all slots that are visible at once, with the rest surface's error the same in all of them."""
+    """All slots are visible at once, with the rest surface's error the same in all of them."""
     sequences, generator = random_sequences(), np.random.default_rng(1)
     noise = np.array([1e-3, 5e-4, 3e-3])
     errors = 1e-3 * generator.normal(size=sequences.amounts.shape)
@@ -73,7 +73,7 @@ def test_without_delays_is_the_schur_complement(count: int) -> None:
 
 
 def test_drawn_errors_have_the_covariance_of_the_pixels() -> None:
-    """Of amounts, and of the middle pixel with them: as least squares of noisy pixels have them."""
+    """Errors of amounts, and of the middle pixel with them: as least squares of noisy pixels have them."""
     sequences, count, sigma = random_sequences(1), 3000, 2e-3
     amounts, alone = draw_sequence_errors(
         sequences, np.zeros(count, int), np.full(count, sigma), np.random.default_rng(3)
@@ -111,7 +111,7 @@ def test_drawn_rounding_is_that_of_the_pixels() -> None:
 
 @pytest.mark.parametrize("within", [FRAME_S, 0.0])
 def test_an_exact_sequence_is_explained(within: float) -> None:
-    """Of a contact of one scene, the instants of whose press are known to a frame, or exactly."""
+    """Sequence of a contact of one scene, the instants of whose press are known to a frame, or exactly."""
     settings = SceneSettings(width=214, height=120, regime="critical")
     (drawn,) = draw_contacts(settings, 5, 1, MECHANICS.time_step, within, sequence=True)
     start, contact = np.log(np.abs(drawn.theta)), drawn.interaction

@@ -108,7 +108,7 @@ def new_posterior() -> ContactPosterior:
 
 
 def descended(network: torch.nn.Module, loss: Callable[[], torch.Tensor], steps: int) -> None:
-    """As the training does."""
+    """Descend as the training does."""
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3, weight_decay=1e-4)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 2e-3, total_steps=steps, pct_start=0.1)
     for _ in range(steps):

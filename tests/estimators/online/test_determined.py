@@ -19,7 +19,7 @@ from tests.estimators.online.test_driven import AWAY, CAMERA, GEOMETRY, HEIGHT, 
 
 STEPPING = dataclasses.replace(SETTINGS.stepping, time_step=4.0, foundation=0.02)
 WAY = np.array([-32.0, 0.0])
-"""Of the grip [px]."""
+"""Motion of the grip [px]."""
 FOLLOWING = 0.1
 """Standard deviation of followed points by axis [px]."""
 
@@ -35,7 +35,7 @@ def stiffness(sheet: Surface) -> np.ndarray:
 
 
 def followed(sheet: Surface, frames: int = 40) -> np.ndarray:
-    """What is followed of a pull of that sheet, shape [frames, P, 2] [px]."""
+    """Tracks of a pull of that sheet, shape [frames, P, 2] [px]."""
     body, gripped = sheet.body, sheet.gripped
     rest, usual = body.rest[gripped], uniform(body, 1.0, 0.01)
     shares = np.linspace(0, 1, frames + 1)[1:, None]
@@ -82,7 +82,7 @@ def test_what_is_known_is_true_and_both_optimisers_agree_on_it(sheet: Surface) -
 
 
 def test_nothing_is_known_where_the_instrument_does_not_explain_the_motion(sheet: Surface) -> None:
-    """The same motion with a path that is invented: tissue stretches in the simulation, by nothing that was
+    """Equal motion with a path that is invented: tissue stretches in the simulation, by nothing that was
     observed."""
     moved, rest = followed(sheet, 8), sheet.body.rest[sheet.gripped, 2]
     tissue = driven(sheet, stepping=STEPPING, led=True)

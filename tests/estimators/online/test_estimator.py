@@ -39,7 +39,7 @@ def run(folder: Path, *clips: Path, settings: str = SETTINGS, options: tuple[str
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory, blank_module: None) -> Path:
-    """Of a clip where tissue is pulled while the camera moves, and of one where nothing moves."""
+    """Results of a clip where tissue is pulled while the camera moves, and of one where nothing moves."""
     folder = tmp_path_factory.mktemp("online")
     clips = [write_annotated(folder / "pulled", SHARES, (6.0, 0.0)), write_annotated(folder / "still", np.zeros(4))]
     assert run(folder, *clips, options=("--export",)) == 0

@@ -75,7 +75,7 @@ def test_nothing_is_fitted_where_nothing_moves_or_one_frame_alone_tells() -> Non
 
 
 def test_a_volume_moves_alike_in_any_unit() -> None:
-    """Of volumes the stiffness is the paper's 10¹⁰ where edges are as long as its blocks', and goes with the unit."""
+    """Stiffness of volumes is the paper's 10¹⁰ where edges are as long as its blocks', and goes with the unit."""
     states = []
     for unit in (1.0, 1000.0):
         body = block((3, 2, 2), 0.0075 * unit)

@@ -70,7 +70,7 @@ def test_of_one_frame_there_is_no_skill() -> None:
 
 
 def test_nearby_are_the_nearest_third_of_the_points_that_are_seen() -> None:
-    """Of 100 seen points, those at the grip counted, the nearest 35."""
+    """The nearest 35 of 100 seen points, those at the grip counted."""
     distance, moved = np.arange(120.0)[::-1], np.ones((120, 2))
     moved[distance >= 100] = np.nan
     nearby = Lattice(np.zeros((120, 2)), 8, distance).nearby(GripFrame(moved, distance < 10))

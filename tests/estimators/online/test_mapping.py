@@ -58,7 +58,7 @@ def test_particles_below_the_surface_follow_by_the_energy():
 
 @pytest.mark.parametrize("pinned_rows", [0, 1])
 def test_the_adjoint_equals_finite_differences(pinned_rows):
-    """Of free particles; the cloud is dense, so that a step of the difference changes no pair."""
+    """Free particles; the cloud is dense, so that a step of the difference changes no pair."""
     body, random = sheet(6, 6, pinned_rows=pinned_rows), np.random.default_rng(0)
     state = body.rest + 3e-4 * random.normal(size=body.rest.shape)
     cloud = sunk(body.rest)

@@ -1,4 +1,4 @@
-"""A sequence beside a robot: its field and its particles, in whatever frame and unit, as of a pull that is known."""
+"""A sequence beside a robot, of a known pull: its field and its particles, in whatever frame and unit."""
 
 from pathlib import Path
 

@@ -44,7 +44,7 @@ def test_the_tool_moves_the_surface_and_the_edge_is_pinned_through(volume: Surfa
 
 
 def test_a_bent_surface_is_followed_along_smoothed_normals() -> None:
-    """Of a cylinder along the rows, whose axis is behind it; and bumps finer than the volume is thick don't matter."""
+    """A cylinder along the rows, whose axis is behind it; and bumps finer than the volume is thick don't matter."""
     frame = first_frame()
     columns = np.arange(frame.depth.shape[1])
     bent = 0.5 + 0.25 * (1 - np.sqrt(1 - np.square((columns - 59.5) / 120)))
@@ -71,7 +71,7 @@ def test_an_instrument_far_from_the_tissue_is_a_sentence() -> None:
 
 @pytest.mark.parametrize("slope", [0.0, 0.001])
 def test_a_thickness_of_no_volume_is_a_sentence(slope: float) -> None:
-    """Of which rounding leaves nothing, or of a slope some prisms."""
+    """Rounding leaves nothing of it, or on a slope some prisms."""
     frame = first_frame()
     frame.depth += np.float32(slope) * np.arange(frame.depth.shape[1], dtype=np.float32)
     with pytest.raises(NoEstimate, match=r"with a thickness of 1e-17 in the depth's unit; give the tissue's"):

@@ -91,7 +91,7 @@ def test_errors_of_the_model_widen_the_intervals(slab) -> None:
 
 @pytest.mark.acceptance
 def test_noise_at_sharp_edges_does_not_look_like_a_dent(slab) -> None:
-    """Of five draws of a millimetre the mean modulus is off by less than the spread of one; with the edges by twice."""
+    """The mean modulus of five draws of a millimetre is off by less than the spread of one; with the edges by twice."""
     skin, held, _ = slab
     found = [fit_material(skin, held, [observed(1.0, "time of flight", i, 4000)]) for i in range(5)]
     off = np.log([fit.young / 1e4 for fit in found])

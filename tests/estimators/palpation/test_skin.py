@@ -8,7 +8,7 @@ from palpate.physics.fem import Solid, box, make_solid
 
 
 def cube(count: int, order: int = 1) -> Solid:
-    """Of edges of 1, so many cells each."""
+    """Cube of edges of 1, so many cells each."""
     return make_solid(*box((1.0, 1.0, 1.0), (count, count, count)), order=order)
 
 

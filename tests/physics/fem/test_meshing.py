@@ -30,7 +30,7 @@ def strip(rows: int, columns: int, turned: bool = False) -> np.ndarray:
 
 
 def volume(found: Meshed) -> float:
-    """Of a mesh that stands all checks."""
+    """Volume of a mesh that stands all checks."""
     assert qualities(found.nodes, found.tetrahedra).min() >= WORST
     return float(make_solid(found.nodes, found.tetrahedra).volumes.sum())
 

@@ -316,7 +316,7 @@ NECK[:5, 7], NECK[7:, 7] = False, False
 
 
 def shuffled(mesh: Mesh) -> Mesh:
-    """The same mesh with its vertices in another order."""
+    """Mesh with its vertices in another order."""
     order = np.random.default_rng(1).permutation(len(mesh.vertices))
     rank = np.argsort(order).astype(np.int32)
     parts = (mesh.vertices[order], rank[mesh.triangles], rank[mesh.springs], mesh.rim[order], mesh.pixels[order])
@@ -430,7 +430,7 @@ WIDE = sheets.sheet(64, 64)
     offsets=st.lists(st.tuples(st.integers(-30, 30), st.integers(-30, 30)), min_size=1, max_size=6),
 )
 def test_window_error_is_kept_for_wide_loads_and_many_watched_vertices(theta, scheme, radius, offsets):
-    """Of the largest displacement that is watched, near the load or far from it."""
+    """Share of the largest displacement that is watched, near the load or far from it."""
 
     def at(offset):
         return int(np.argmin(np.abs(WIDE.pixels - (np.array([32, 32]) + offset)).sum(axis=1)))

@@ -34,7 +34,7 @@ def contact(theta, vertex=14, load_steps=20, noise=0.0, seed=0):
 
 
 def observing(one, displacement):
-    """The same contact with other displacements [N, 3] [scene units]."""
+    """Contact with other displacements [N, 3] [scene units]."""
     return one.having(point=one.observation.moved(displacement, math.nan))
 
 

@@ -3,10 +3,10 @@
     python -m benchmarks.path_traced --data DIR [--given masks|depth] --output runs/path_traced
 
 DIR holds NAME.mp4 with NAME.truth.json, and for some the folder NAME with true masks and depth. `--given video` opens
-the MP4 alone, as a user has it; `--given depth` the folder; `--given masks` the folder without its depth. Lengths and forces count in the tissue's distance, which no
-plain video tells. table.csv has the measures of every clip, summary.csv those of all: how often frames under a press
-are found and others aren't, and of every quantity how many clips determine it, the median error of its logarithm
-there, and how often its 90 % interval holds the truth.
+the MP4 alone, as a user has it; `--given depth` the folder; `--given masks` the folder without its depth. Lengths and
+forces count in the tissue's distance, which no plain video shows. table.csv has the measures of every clip, summary.csv
+those of all: how often frames under a press are found and others aren't, and of every quantity how many clips determine
+it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
 """
 
 import functools

@@ -33,6 +33,9 @@ MAX_LOG_ODDS = 5.0
 """Largest change of the logarithm of the odds by one frame."""
 CERTAIN = 0.9
 """Below this probability contact is known from outlines alone: nothing has moved that would confirm it."""
+WAITS, FORGETS = 8, 0.03
+"""A contact that was not seen to begin, and isn't certain, waits for so many frames to be decided by a later one; by
+this share the probability returns to PRIOR in a frame, as contacts begin and end."""
 HOVERS = "The tissue next to the tool does not move with it, so it hovers (probability of contact {:.2f})."
 
 SPACING = 8
@@ -76,17 +79,37 @@ class ContactEvidence:
         self._hovering: tuple[PreparedFrame, FrameGeometry] | None = None
         """The frame before, if its tool was found to hover, and the contact that its outlines show."""
         self._last: list[PreparedFrame] = []
-        """The frame that was judged last, which the next one may decide anew."""
+        """Frames that a later one may decide anew, the last one at least."""
 
     def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
-        """Judge the next frame; gives the one before it, which is decided now."""
+        """Judge the next frame; gives those before it that are decided now."""
+        follows = prepared.follows(self._number)
         self.judge(prepared)
-        decided, self._last = self._last, [prepared]
-        return decided
+        probability = prepared.contact_probability
+        if follows and not self._came and (probability < THRESHOLD or probability >= CERTAIN):
+            for age, earlier in enumerate(reversed(self._last), 1):
+                self._revise(earlier, probability, (1 - FORGETS) ** age)
+        waits = prepared.in_contact and probability < CERTAIN and not (self._came or prepared.undecided)
+        frames, kept = [*self._last, prepared], WAITS if waits else 1
+        self._last = frames[-kept:]
+        return frames[:-kept]
 
     def finish(self) -> list[PreparedFrame]:
-        """The frame that is left at the clip's end."""
+        """The frames that are left at the clip's end."""
         return self._last
+
+    def _revise(self, earlier: PreparedFrame, later: float, stayed: float) -> None:
+        """Decide a frame by the probability in a later one, backwards along the chain.
+
+        Args:
+            stayed: share of the probability that did not return to PRIOR in between.
+        """
+        if not (earlier.in_contact and earlier.contact_probability < CERTAIN) or earlier.undecided:
+            return
+        returned = PRIOR * (1 - stayed)
+        earlier.contact_probability = probability = later * (returned + stayed) + (1 - later) * returned
+        if probability < THRESHOLD:
+            earlier.status, earlier.detail, earlier.geometry = "no_contact", HOVERS.format(probability), None
 
     def judge(self, prepared: PreparedFrame) -> None:
         """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers.
@@ -129,8 +152,7 @@ class ContactEvidence:
     def _push(self, shown: Shown, prepared: PreparedFrame) -> float:
         """Probability of contact in the next frame, whose tool is at tissue in the picture."""
         share = 1 / (1 + math.exp(-self._odds))
-        # Contacts begin and end: by this share the probability returns to PRIOR in a frame.
-        self._odds = _log_odds(share + 0.03 * (PRIOR - share))
+        self._odds = _log_odds(share + FORGETS * (PRIOR - share))
         before, hovered = self._reference, self._speed > 0
         tips = [] if before is None else observed_motion(before[0], shown)
         self._age += 1

@@ -178,7 +178,8 @@ class LightContacts:
         if first == last:
             return self._at_rest(len(self._waiting) - self._held())
         moves = [one.moves for one in self._waiting[first:last]]
-        if False in moves:  # the tip stops where the tissue is
+        if False in moves:  # the tip stops where the tissue is, and goes when it lets go
+            last -= moves[::-1].index(False)
             first += max(moves.index(False) - 1, 0)
         decided, pressed = self._at_rest(first), last - first
         waited, self._waiting, self._deepest = self._waiting, [], None

@@ -125,6 +125,17 @@ def test_a_frame_whose_tool_hovers_has_no_contact_and_says_why() -> None:
     assert "does not move with it, so it hovers" in frames[1].detail
 
 
+@pytest.mark.parametrize(("follow", "contact"), [(0.0, False), (0.9, True)])
+def test_frames_before_anything_has_moved_are_decided_by_later_ones(follow: float, contact: bool) -> None:
+    """A tool that is at tissue from the first frame on, stands, and then passes over it or takes it along."""
+    evidence, frames = ContactEvidence(), frames_of(drawn(np.concatenate([np.zeros((3, 2)), line((3, 1), 6)]), follow))
+    given = [len(evidence.push(frame)) for frame in frames]
+    assert given[:3] == [0, 0, 0]  # they wait
+    assert sum(given) + len(evidence.finish()) == len(frames)
+    assert [frame.in_contact for frame in frames] == [contact] * len(frames)
+    assert all((frame.contact_probability > PRIOR) == contact for frame in frames)
+
+
 @pytest.mark.parametrize("between", ["gap", "no_tool", "no_contact", "bad_depth"])
 def test_what_was_known_before_an_interruption_counts_no_more(between: str) -> None:
     views = drawn(line((3, 1), 6))

@@ -117,6 +117,13 @@ def test_a_press_under_the_instrument_is_told_by_what_it_leaves_behind():
     assert [frame.status for frame in frames[14:]] == ["no_tool"] * 6
 
 
+def test_a_press_ends_where_the_instrument_that_hides_it_begins_to_leave():
+    frames = [prepared(index, tool=8 <= index < 14) for index in range(14)]
+    frames += [prepared(14, 0.02, shift=2, along=0.0), prepared(15, 0.02, shift=4, along=0.0)]
+    frames += [prepared(index, dark, tool=False) for index, dark in enumerate([0.4, 0.3, 0.2, 0.1, 0.0], 16)]
+    assert pressed_in(frames) == list(range(8, 14))
+
+
 def test_an_instrument_that_goes_along_with_the_dent_of_oblique_tissue_still_presses():
     """It bares a part of the dent before it stands, which is no sign that it has gone."""
     frames = [prepared(index, tool=False) for index in range(22)]

@@ -13,7 +13,7 @@ SIDE = FINE * (2 * (REACH + MARGIN) + 1)
 
 
 TEXTURE = np.random.default_rng(1).normal(-1, 0.3, (3, *SHAPE))
-"""Of three colours."""
+"""Three colours at rest."""
 
 
 def seen(light: np.ndarray, out_of_contact: bool = False) -> SimpleNamespace:

@@ -37,7 +37,7 @@ from palpate.data.source.repeats import mark_repeats
 
 STAGES = 5
 """Number of concurrent pipeline stages: masks, preparation of a frame, contact, estimation and drawing."""
-AHEAD, WHILE_FITTING = 4, 32
+AHEAD, WHILE_FITTING = 2, 16
 """Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
 """Called with every frame that is prepared, before its contact is decided."""

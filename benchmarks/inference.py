@@ -137,7 +137,7 @@ def compared(video: Path, against: str | None, folder: Path) -> pd.DataFrame:
         if against is not None:
             roots[against] = stack.enter_context(checkout(against))
         for _ in range(2):  # the first turn compiles
-            found = {name: timed(root, video, folder / root.name) for name, root in roots.items()}
+            found = {name: timed(root, video, folder / video.stem / root.name) for name, root in roots.items()}
     frame = pd.DataFrame(found).rename_axis(video.stem).reset_index()
     return frame if against is None else frame.assign(ratio=frame["here"] / frame[against])
 

@@ -6,7 +6,6 @@ with the next frame: observed displacement and the run of contact (Bini 2026, se
 
 import contextlib
 import dataclasses
-import itertools
 import math
 import time
 from collections import defaultdict
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.common.ahead import ahead
+from palpate.common.ahead import Item, ahead
 from palpate.data.cache import CacheEntry, PreparedClip, cache_key
 from palpate.data.contact.clearance import MeasuredContacts
 from palpate.data.contact.evidence import ContactEvidence
@@ -23,7 +22,7 @@ from palpate.data.contact.geometry import GeometryStatus, frame_geometry
 from palpate.data.contact.instruments import InstrumentNumbers
 from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.contact.motion import ContactMotion
-from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth, resize_labels
+from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
 from palpate.data.depth.shading import organ_shape
 from palpate.data.depth.sources import DepthSource
 from palpate.data.gaps import bridge_gaps, gap
@@ -36,9 +35,9 @@ from palpate.data.source.frames import Frame, FrameSource, open_source
 from palpate.data.source.layout import InputError
 from palpate.data.source.repeats import mark_repeats
 
-STAGES = 4
-"""Number of concurrent pipeline stages: preparation of a frame, contact, estimation and drawing."""
-AHEAD, WHILE_FITTING = 4, 32
+STAGES = 5
+"""Number of concurrent pipeline stages: masks, preparation of a frame, contact, estimation and drawing."""
+AHEAD, WHILE_FITTING = 2, 16
 """Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
 """Called with every frame that is prepared, before its contact is decided."""
@@ -153,7 +152,8 @@ class ClipStream:
 
     def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with all that is known of whether they are in contact, by the frames around them as well."""
-        geometry, measured = self.settings.geometry, bridge_gaps(self._prepared(noticed), stored=not self.guesses_depth)
+        geometry, prepared = self.settings.geometry, self._prepared(most, noticed)
+        measured = bridge_gaps(prepared, stored=not self.guesses_depth)
         frames = _staged(measured, most)
         if geometry.contact == "touching":
             near = geometry.contact_distance or math.inf
@@ -173,49 +173,55 @@ class ClipStream:
             yield from decided
         yield from contacts.finish()
 
-    def _prepared(self, noticed: Noticed) -> Iterator[PreparedFrame]:
-        """Every frame by itself, in order."""
-        # Whoever is told of frames as they come can't wait for later ones.
-        frames = mark_repeats(self.source, look_ahead=noticed is None)
-        shape = (self.settings.geometry.height, self.settings.geometry.width)
-        kept: np.ndarray | None = None
-        instruments = InstrumentNumbers()
-        for count in itertools.count():
+    def _masked(self, look_ahead: bool) -> Iterator[tuple[Frame, bool, np.ndarray | str]]:
+        """Frames in order, whether each repeats the one before, and its label map, or why there is none."""
+        frames = mark_repeats(self.source, look_ahead)
+        while True:
             with self._timed("decode"):
                 frame, repeats = next(frames, (None, False))
             if frame is None:
                 return
+            labels: np.ndarray | str = frame.error
+            if frame.image is not None and not repeats:
+                with self._timed("masks"):
+                    try:
+                        labels = self._masks(frame)
+                    except MaskError as error:
+                        labels = str(error)
+            yield frame, repeats, labels
+
+    def _prepared(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
+        """Every frame by itself, in order."""
+        shape = (self.settings.geometry.height, self.settings.geometry.width)
+        kept: np.ndarray | None = None
+        instruments = InstrumentNumbers()
+        # Whoever is told of frames as they come can't wait for later ones.
+        masked = _staged(self._masked(noticed is None), most if noticed is None else min(most, 1))
+        for count, (frame, repeats, labels) in enumerate(masked):
             if repeats:
                 prepared = gap(frame, shape)
             else:
-                prepared = self.prepared(frame, kept if count % self.settings.every else None)
+                prepared = self.prepared(frame, labels, kept if count % self.settings.every else None)
                 prepared.instruments = instruments.push(prepared)
                 kept = prepared.depth if self.guesses_depth and prepared.has_depth else None
             if noticed is not None:
                 noticed(prepared)
             yield prepared
 
-    def prepared(self, frame: Frame, depth_before: np.ndarray | None = None) -> PreparedFrame:
+    def prepared(self, frame: Frame, shown: np.ndarray | str, depth_before: np.ndarray | None = None) -> PreparedFrame:
         """Everything about a frame that needs no other frame.
 
         Args:
             frame: of the clip.
+            shown: its label map, uint8 [H, W], or why there is none.
             depth_before: z of a frame before, which is taken for this one's, shape [h, w] [scene units]; None = its
                 own is found.
-
-        Raises:
-            InputError: the segmentation model fails on the clip's pictures.
         """
         shape = (self.settings.geometry.height, self.settings.geometry.width)
         nothing, unlabelled = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
         if frame.image is None:
             return PreparedFrame(frame, "unreadable", frame.error, nothing, unlabelled)
-        labels, mask_error = None, ""
-        try:
-            with self._timed("masks"):
-                labels = self._masks(frame)
-        except MaskError as error:
-            mask_error = str(error)
+        labels, mask_error = (None, shown) if isinstance(shown, str) else (shown, "")
         depth, depth_error = (nothing, "") if depth_before is not None else self._picture_depth(frame)
         if self._undistortion is not None:
             frame = dataclasses.replace(frame, image=self._undistortion.image(frame.image))
@@ -226,7 +232,7 @@ class ClipStream:
             known = np.where(plain == UNSURE, TISSUE, plain)
             # What of shading is shape is found on the grid.
             if depth_before is not None:
-                z, grid_labels = depth_before, resize_labels(known, shape)
+                z, grid_labels = depth_before, resize_depth(np.zeros(plain.shape, np.float32), known, shape)[1]
             elif self.settings.depth.rounded == "picture" and not self._depth.from_shading:
                 depth_error = depth_error or self._beyond_scale(depth)
                 depth = np.zeros_like(depth) if depth_error else normalise(depth, self.scale, self.settings.depth.bits)
@@ -284,7 +290,7 @@ class ClipStream:
             self.seconds[stage] += time.perf_counter() - start
 
 
-def _staged(frames: Iterator[PreparedFrame], most: int) -> Iterator[PreparedFrame]:
+def _staged(frames: Iterator[Item], most: int) -> Iterator[Item]:
     """Frames that a thread of their own makes, so many of which wait at most; 0 = made when they are asked for."""
     return ahead(frames, most) if most else frames
 

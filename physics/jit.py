@@ -22,15 +22,19 @@ SETTINGS: Any = numba.config  # its attributes are set at run time
 SETTINGS.CACHE_DIR = SETTINGS.CACHE_DIR or f"{Path(__file__).parent}/__pycache__/numba-{code_digest('kernels')}"
 
 
-def kernel(function: Callable) -> Callable:
+def kernel(function: Callable, **others: Any) -> Callable:
     """Compile a function that Python calls; its machine code is kept for the next process where numba finds a folder.
 
     One process at a time compiles: numba writes index and code one after the other.
+
+    Args:
+        function: what is compiled.
+        others: options of numba in place of those of OPTIONS.
     """
     try:
-        compiled: Any = numba.njit(function, cache=True, **OPTIONS)
+        compiled: Any = numba.njit(function, cache=True, **OPTIONS | others)
     except RuntimeError:  # "cannot cache function: no locator available"
-        return numba.njit(function, **OPTIONS)
+        return numba.njit(function, **OPTIONS | others)
     compile_for, lock = compiled.compile, Path(compiled.stats.cache_path) / "lock"
 
     def alone(signature: Any) -> Any:

@@ -7,6 +7,7 @@ an offset, one focal length and one range of relative depth. docs/depth.md descr
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Annotated, Literal
 
 import cv2
@@ -22,12 +23,15 @@ from palpate.data.labels import OTHER, TISSUE, TOOL
 from palpate.data.source.camera import clip_camera
 from palpate.data.source.frames import FrameSource
 from palpate.data.source.layout import ClipLayout, InputError, matches
+from palpate.physics.jit import kernel
 
 BUILT_IN = ("stored", "stereo", "photometric")
 """Sources of depth that need no model."""
 MOST_THREADS = 1024
 """Largest number of threads of one program."""
 Size = tuple[int, int]
+ORDER = (TOOL, TISSUE, OTHER, 255)
+"""Labels by their rank where they cover equal areas of a pixel; 255 is outside the picture."""
 
 
 @dataclass(frozen=True)
@@ -205,34 +209,75 @@ def resize_depth(depth: np.ndarray, labels: np.ndarray, size: Size = (120, 214))
     """
     if depth.ndim != 2 or depth.shape != labels.shape:
         raise ValueError(f"Depth {depth.shape} and labels {labels.shape} must be two maps of one size.")
-    order, members, shares = _shares(labels, size)
-    winner, valid, result = shares.argmax(axis=0), depth > 0, np.zeros(size, np.float32)
-    complete = bool(valid.all())
-    for index, (value, member) in enumerate(zip(order, members, strict=True)):
-        # Outside the camera's picture, after the removal of lens distortion.
-        if value == 255:
-            continue
-        usable = member if complete else member * valid
-        weight = shares[index] if complete else _resized(usable, size)
-        chosen = (winner == index) & (weight > 0) & (weight >= 0.5 * shares[index])
-        result[chosen] = _resized(depth * usable, size)[chosen] / weight[chosen]
-    return result, np.asarray(order, np.uint8)[winner]
+    sums = label_areas(depth, labels, size)
+    winner = sums[0].argmax(axis=0)
+    share, weight, total = np.take_along_axis(sums, winner[None, None], axis=1)[:, 0]
+    found, result = np.asarray(ORDER, np.uint8)[winner], np.zeros(size, np.float32)
+    # 255 is outside the camera's picture, after the removal of lens distortion.
+    chosen = (found != 255) & (weight > 0) & (weight >= 0.5 * share)
+    result[chosen] = total[chosen] / weight[chosen]
+    return result, found
 
 
-def resize_labels(labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """The labels alone, as in `resize_depth`."""
-    order, _, shares = _shares(labels, size)
-    return np.asarray(order, np.uint8)[shares.argmax(axis=0)]
+def label_areas(depth: np.ndarray, labels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Share of every label of ORDER in a grid's pixels, share with a depth above 0, and depth summed over that.
+
+    Args:
+        depth: shape [H, W] float32.
+        labels: shape [H, W] uint8.
+        size: (height, width) of the grid.
+
+    Returns:
+        Shape [3, 4, h, w] float32, to the bit what OpenCV gives of every label's maps: area average
+        when shrinking, bilinear when enlarging.
+    """
+    sides = list(zip(labels.shape, size, strict=True))
+    enlarged = any(side < own for side, own in sides)
+    if enlarged or all(side % own == 0 for side, own in sides):
+        members = np.array([labels == label for label in ORDER], np.float32)
+        how, known = cv2.INTER_LINEAR if enlarged else cv2.INTER_AREA, members * (depth > 0)
+        maps = [*members, *known, *known * depth]
+        return np.array([cv2.resize(each, size[::-1], interpolation=how) for each in maps]).reshape(3, -1, *size)
+    sums, number = np.zeros((3, len(ORDER) + 1, *size), np.float32), np.full(256, len(ORDER))
+    number[list(ORDER)] = range(len(ORDER))
+    _add_areas(np.ascontiguousarray(depth, np.float32), labels, number, *(_covered(*each) for each in sides), sums)
+    return sums[:, :-1]
 
 
-def _shares(labels: np.ndarray, size: tuple[int, int]) -> tuple[list[int], list[np.ndarray], np.ndarray]:
-    """The labels that there are, where each is, float32 [H, W], and how much of every grid pixel, [labels, h, w]."""
-    order = [value for value in (TOOL, TISSUE, OTHER, 255) if (labels == value).any()]
-    members = [(labels == value).astype(np.float32) for value in order]
-    return order, members, np.stack([_resized(member, size) for member in members])
+@lru_cache(maxsize=8)
+def _covered(side: int, own: int) -> tuple[np.ndarray, ...]:
+    """What pixels of a grid of `own` along an axis cover of `side`, as OpenCV has it.
+
+    Returns:
+        Where each one's part begins in the others, shape [own + 1]; pixels covered; share of each in the mean, float32.
+    """
+    scale = 1 / (own / side)
+    begin = np.arange(own)[:, None] * scale
+    first = np.ceil(begin)
+    pixels = first - 1 + np.arange(math.ceil(scale) + 2)
+    parts = np.where(pixels < first, first - begin, (begin + scale - pixels).clip(max=1.0))
+    used, shares = parts > 1e-3, parts / np.minimum(scale, side - begin)
+    return np.append(0, used.sum(axis=1).cumsum()), pixels[used].astype(int), shares[used].astype(np.float32)
 
 
-def _resized(map_: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A map at a size (height, width): area average when shrinking, bilinear when enlarging."""
-    shrinking = size[0] <= map_.shape[0] and size[1] <= map_.shape[1]
-    return cv2.resize(map_, size[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR)
+@partial(kernel, fastmath=False)  # sums are rounded as OpenCV's
+def _add_areas(depth, labels, number, down, across, sums):
+    begins, at, shares = across
+    for row in range(len(down[0]) - 1):
+        for line in range(down[0][row], down[0][row + 1]):
+            z, shown, weight = depth[down[1][line]], labels[down[1][line]], down[2][line]
+            for column in range(len(begins) - 1):
+                begin, end = begins[column], begins[column + 1]
+                left, label = end - begin, number[shown[at[begin]]]
+                while left > 0:  # most often all are of one label
+                    area = known = total = np.float32(0)
+                    for part in range(begin, end):
+                        if number[shown[at[part]]] == label:
+                            left -= 1
+                            area += shares[part]
+                            if z[at[part]] > 0:
+                                known += shares[part]
+                                total += z[at[part]] * shares[part]
+                    for which, found in enumerate((area, known, total)):
+                        sums[which, label, row, column] += weight * found
+                    label = (label + 1) % sums.shape[1]

@@ -28,8 +28,8 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     Args:
         picture: sRGB in [0, 1], shape [h, w, 3] float32.
     """
-    picture = picture[..., :2]
-    red, green = cv2.split(np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4))
+    channels = (np.ascontiguousarray(picture[..., index]) for index in (0, 1))
+    red, green = (np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4) for part in channels)
     # Blood absorbs green and blue, so red varies least with albedo; green helps where red saturates.
     brightness = 0.7 * red + 0.3 * green
     # Narrow highlights (opening) and narrow dark vessels (closing) are pulled in to within a factor of 1.2.

@@ -51,8 +51,8 @@ def draw_overlay(
     if image is not None and estimate.field is not None:
         draw_field(canvas, estimate.field, width / size[0], labels)
     if image is not None and labels is not None:
-        _outline(canvas, labels == TISSUE, _TISSUE_COLOR)
-        _outline(canvas, labels == TOOL, _TOOL_COLOR)
+        _outline(canvas, labels, TISSUE, _TISSUE_COLOR)
+        _outline(canvas, labels, TOOL, _TOOL_COLOR)
     _mark_contact(canvas, estimate, width / size[0])
     _panel(canvas, estimate, corner)
     _footer(canvas, estimate)
@@ -62,12 +62,13 @@ def draw_overlay(
     return canvas
 
 
-def _outline(canvas: np.ndarray, mask: np.ndarray, color: Color) -> None:
-    """Draw a mask's smoothed outline; the mask is enlarged to the canvas."""
+def _outline(canvas: np.ndarray, labels: np.ndarray, label: int, color: Color) -> None:
+    """Draw the smoothed outline of a label's mask; the mask is enlarged to the canvas."""
     height, width = canvas.shape[:2]
+    mask = cv2.inRange(labels, label, label)
     reach = 2 * max(1, round(width / mask.shape[1])) + 1
-    smooth = cv2.blur(cv2.resize(mask.astype(np.uint8) * 255, (width, height)), (reach, reach))
-    contours = cv2.findContours((smooth > 127).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_KCOS)[0]
+    smooth = cv2.blur(cv2.resize(mask, (width, height)), (reach, reach))
+    contours = cv2.findContours(cv2.inRange(smooth, 128, 255), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_KCOS)[0]
     cv2.drawContours(canvas, contours, -1, color, max(1, round(height / 320)), cv2.LINE_AA)
 
 

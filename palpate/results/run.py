@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 from rich.console import Console
 from rich.progress import Progress
+from threadpoolctl import threadpool_limits
 
 from palpate.common.command_line import progress_bars, say
 from palpate.common.distributed import run_distributed
@@ -51,8 +52,10 @@ class Batch:
 
     def __init__(self, options: argparse.Namespace, console: Console) -> None:
         self.options, self.console = options, console
-        # Stages run side by side: OpenCV's threads of each would wait for one another.
-        cv2.setNumThreads(max(1, (options.threads or os.cpu_count() or 1) // STAGES))
+        # Stages run side by side: the libraries' threads of each would wait for one another, those of BLAS busily.
+        threads = max(1, (options.threads or os.cpu_count() or 1) // STAGES)
+        cv2.setNumThreads(threads)
+        threadpool_limits(threads, user_api="blas")
         self.calibration = None if options.force_scale is None else read_calibration(options.force_scale)
         self.folders: dict[Path, Path] = {}
         """Folders of clips' results, given out before several processes write into the same output."""

@@ -16,7 +16,7 @@ class Overlay(Artefact):
     name, option, pictures = store.OVERLAY, "overlay", True
 
     def open(self) -> None:
-        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps, preset="superfast")
+        self._video = Video(self.path, canvas_size(self.clip.size), self.clip.fps, crf=23, fast=True)
         self._drawer = ThreadPoolExecutor(1, "overlay")
         self._corner = (0, 0)
         self._drawing: deque[Future[None]] = deque()

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +10,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from palpate.data.depth.model import RawDepth
-from palpate.data.depth.normalise import DepthSettings, estimate_scale, normalise, open_depth, resize_depth
+from palpate.data.depth.normalise import (
+    ORDER,
+    DepthSettings,
+    estimate_scale,
+    label_areas,
+    normalise,
+    open_depth,
+    resize_depth,
+)  # fmt: skip
 from palpate.data.depth.sources import DepthSource, StoredDepth, check_map, positive
 from palpate.data.source.frames import open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
@@ -239,3 +248,15 @@ def test_real_clip_by_the_shipped_model(real_data):
     # 15 % of the picture is black outside the endoscope's circle.
     assert 0.5 < (z > 0).mean() < 0.97
     assert 0.1 < np.median(z[z > 0]) < 0.9
+
+
+@pytest.mark.parametrize("size", [(720, 1280), (480, 854), (480, 856), (121, 300), (80, 100)])
+def test_areas_are_those_of_opencv_to_the_bit(size: tuple[int, int]) -> None:
+    random = np.random.default_rng(5)
+    labels = cv2.resize(random.choice(np.uint8([*ORDER, 7]), (9, 16)), size[::-1], interpolation=cv2.INTER_NEAREST)
+    depth = np.where(random.random(size) < 0.1, 0, random.random(size)).astype(np.float32)
+    how = cv2.INTER_AREA if size[0] >= 120 else cv2.INTER_LINEAR
+    for found, label in zip(np.moveaxis(label_areas(depth, labels, (120, 214)), 1, 0), ORDER, strict=True):
+        member = (labels == label).astype(np.float32)
+        expected = member, member * (depth > 0), member * depth
+        assert np.array_equal(found, [cv2.resize(each, (214, 120), interpolation=how) for each in expected])

@@ -14,8 +14,9 @@ from palpate.estimators.result import Result, Table, column, group
 from palpate.physics.mechanics import PARAMETERS, Mechanics
 
 VERDICT = (
-    "determined, ratios (only k_d/k_s, and F/k_s or F/k_d), relative_force (only that, of a pull), stiffness_ratios (only "
-    "where tissue is stiffer, of --estimator online), undetermined; onset_in_view: the model doesn't say"
+    "determined, ratios (only k_d/k_s, and F/k_s or F/k_d), relative_force (only that, of a pull), "
+    "stiffness_ratios (only where tissue is stiffer, of --estimator online), undetermined; onset_in_view: the model "
+    "doesn't say"
 )
 DETERMINED = "which parameters and ratios are determined, joined by ; (in fit.png: the curve of relative_force)"
 """Columns of all tables."""

@@ -28,7 +28,7 @@ REST_FRAMES = 3
 """Last frames before a contact in which tissue that is followed must have returned."""
 SHADING_NOISE = 0.02
 """Noise of depth from shading: its surfaces are smooth, and change from one picture to the next [scene units]. Where
-the camera moves they do so by 3 to 6 % (docs/reports/depth.md)."""
+the camera moves they do so by 3 to 6 % (docs/reports/video.md)."""
 REST_SIGMA = 4.0
 """It hasn't where their mean lies farther from rest than this many of its standard deviations."""
 

@@ -14,7 +14,7 @@ NOT_PREPARATION = ("data/synthetic/", "data/training/")
 """Folders that no prepared clip depends on."""
 MASKS = "models/weights/instruments.onnx"
 """The network that outlines instruments."""
-PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/mesh.py", MASKS)
+PREPARATION = ("common/onnx_devices.py", "common/robust.py", "physics/jit.py", "physics/mesh.py", MASKS)
 """Files outside data/ on which it depends."""
 Part = Literal["all", "preparation", "kernels"]
 

@@ -27,6 +27,7 @@ from palpate.estimators.run_tracker import RECORDED, UNDECIDED, Run, RunTracker
 from palpate.physics.mechanics import Bounds, Mechanics
 
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
+ELSEWHERE = "The dent lies {:.0f} px beside the detected contact; it is what is estimated."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 
@@ -121,26 +122,27 @@ class RunSession:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
-        mechanics, aside = self.mechanics, (0, 0) if contact.shading is None else contact.shading.aside
+        mechanics, aside = self.mechanics, self._aside(contact)
         try:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
                     contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
-                doubts = f"{self._elsewhere(contact, aside)} {found.refuted}".strip()
+                doubts = f"{ELSEWHERE.format(math.hypot(*aside)) if any(aside) else ''} {found.refuted}".strip()
             else:
                 found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:
             return run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
         detail = f"{run.detail} {doubts}".strip()
         results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
+        results["aside"] = aside if mechanics is self.lit_mechanics else (0.0, 0.0)
         return run.estimate(**results, detail=detail)
 
-    def _elsewhere(self, contact: Interaction, aside: tuple[int, int]) -> str:
-        """Sentence on a dent so many rows and columns beside the detected contact; none for a dent at the contact."""
-        shape = contact.mesh.grid_shape
-        away = math.hypot(aside[0] / shape[0] * self.clip.size[1], aside[1] / shape[1] * self.clip.size[0])
-        return f"The dent lies {away:.0f} px beside the detected contact; it is what is estimated." if away else ""
+    def _aside(self, contact: Interaction) -> tuple[float, float]:
+        """Way from the detected contact to its dent (u, v) [px of the source frame]."""
+        rows, columns = (0, 0) if contact.shading is None else contact.shading.aside
+        (height, width), size = contact.mesh.grid_shape, self.clip.size
+        return columns / width * size[0], rows / height * size[1]
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""

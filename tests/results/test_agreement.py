@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from palpate.estimators.estimate import LightFit
 from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate
 from palpate.results.agreement import LESS, agreed
@@ -32,6 +33,14 @@ def test_a_frame_is_no_surer_than_its_contact() -> None:
         assert found.detail.endswith(LESS)
     before = dataclasses.replace(SURE, time_s=0.4)
     assert agreed(before, unsure, UNKNOWN_FORCE) is before
+
+
+def test_frames_of_a_fit_by_light_show_where_its_dent_is() -> None:
+    estimate = dataclasses.replace(GOOD.estimate, light=LightFit())
+    run = dataclasses.replace(GOOD, onset_time_s=0.5, estimate=estimate, aside=(-24.0, 12.0))
+    touch = dataclasses.replace(SURE.touch, contact_u=100.0, contact_v=50.0)
+    found = agreed(dataclasses.replace(SURE, estimate=None, touch=touch), run, UNKNOWN_FORCE)
+    assert (found.estimate, found.touch.contact_u, found.touch.contact_v) == (estimate, 76.0, 62.0)
 
 
 def test_rows_of_a_pull_hold_its_relative_force(tmp_path: Path) -> None:

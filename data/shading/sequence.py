@@ -223,14 +223,16 @@ class ShadingRecorder:
             return here
         shown = np.isfinite(changes).mean(axis=0) > 0.5
         change = smoothed(np.where(shown, _median(np.stack(changes)), np.nan))
-        darkness = np.where(np.isfinite(change), -change, 0.0)
+        known = np.isfinite(change)
+        darkness, near = np.where(known, -change, 0.0), FINE * REACH
+        if not darkness.max() > 2 * DARKER:
+            return here
         place = np.array(np.unravel_index(np.argmax(darkness), darkness.shape))
-        near = FINE * REACH
-        around = slice(FINE * (FAR + MARGIN), -FINE * (FAR + MARGIN))
-        contact = darkness[around, around].max()
+        inner = slice(FINE * (FAR + MARGIN), -FINE * (FAR + MARGIN))
         around = change[max(place[0] - near, 0) : place[0] + near, max(place[1] - near, 0) : place[1] + near]
-        clear = darkness.max() > max(2 * DARKER, 2 * contact, 2 * np.nanmax(around), 8 * median_sd(change[shown]))
-        if not clear:
+        # As of a press, it brightens no tissue by more than half as much, and is clear of the noise.
+        least = max(2 * darkness[inner, inner].max(), 2 * np.nanmax(around), 8 * median_sd(change[known]))
+        if darkness.max() <= least:
             return here
         middle = place / FINE - FAR - REACH - MARGIN
         return self._offsets[np.argmin(np.square(self._offsets - middle).sum(axis=1))]

@@ -79,7 +79,7 @@ class ClipStream:
         self.guesses_depth = self._depth.from_picture
         """Whether depth is guessed from the pictures alone, so that light is what is measured."""
         self.identity = self._depth.identity, self._masks.identity
-        """What depth and masks depend on besides the clip's own files and settings."""
+        """Models and files on which depth and masks depend, besides the clip's own and settings."""
         chosen = Path(chosen_kind(settings.masks, source.path, settings.layout)).name
         self.sources = {"depth": self._depth.identity.split(":")[0], "masks": chosen}
         """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
@@ -113,7 +113,7 @@ class ClipStream:
 
     @property
     def providers(self) -> dict[str, str]:
-        """What of ONNX Runtime runs the networks for `depth` and `masks`, of those that there are."""
+        """Providers of ONNX Runtime that run the networks for `depth` and `masks`, of those that there are."""
         networks = {"depth": getattr(self._depth, "network", None), "masks": getattr(self._masks, "network", None)}
         return {name: network.provider for name, network in networks.items() if network is not None}
 

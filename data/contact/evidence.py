@@ -71,7 +71,7 @@ class ContactEvidence:
         self._apart = self._came = False
         """Whether the tool was apart from tissue in that frame, and right before the contact under way began."""
         self._way, self._speed = np.zeros(2), 0.0
-        """How far the tool has gone since the reference [px], and its speed when it hovered last [px a frame]."""
+        """Way of the tool since the reference [px], and its speed when it hovered last [px a frame]."""
         self._undecided = False
         """Whether the tool hovered, and nothing observed since then decides whether it touches."""
         self._arrives = False
@@ -188,7 +188,7 @@ def _ratio_of_tips(tips: list[TipMotion]) -> float:
 
 
 def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
-    """How every tool's tip, the tissue next to it and the background moved from one picture to a later one.
+    """Motion of every tool's tip, the tissue next to it and the background from one picture to a later one.
 
     Returns:
         One a tool whose motion is known; none where the background's isn't.

@@ -24,12 +24,12 @@ from palpate.data.shading.sequence import DARKER, RestingLight, change_of_light,
 from palpate.data.source.camera import Camera
 
 SHADOW, SHADOWS = 1.5, 8
-"""What has darkened next to an instrument while it moved is its shadow: a dent is darker, by this factor, than in the
-last so many frames in which one moved."""
+"""A dent is darker than shadows, by this factor: than what darkened next to an instrument in the last so many frames
+in which one moved."""
 CLEAR = 6.0
-"""A dent is at least so much darker than at rest, as a logarithm, and by so many standard deviations of the noise."""
+"""A dent is darker than at rest by at least DARKER and by so many standard deviations of the noise."""
 FIRST, FEWEST_REST = 6, 3
-"""So many frames are waited for at first, of which the earliest, so many, are taken to show tissue at rest."""
+"""Frames that are waited for at first, and the earliest of them, which are taken to show tissue at rest."""
 BEGINS = 3
 """Successive frames with a dent that make a press."""
 EARLIEST, HIDDEN_FOR = 3, 8
@@ -77,7 +77,7 @@ class LightContacts:
         self._tips: list[np.ndarray] = []
         """Where instruments were in the frame before."""
         self._shadows: deque[float] = deque(maxlen=SHADOWS)
-        """How dark the tissue was next to an instrument when it moved last."""
+        """Darkness of the tissue next to an instrument when it moved last."""
 
     def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
         """The next frame; gives those that are decided, in order."""
@@ -138,7 +138,7 @@ class LightContacts:
         return self._at_rest(len(self._waiting) - self._held())
 
     def _held(self) -> int:
-        """How many of the frames that wait are not decided yet."""
+        """Number of the frames that wait that are not decided yet."""
         least = BEGINS + EARLIEST - 1
         at = [index for index, one in enumerate(self._waiting) if one.prepared.in_contact or one.prepared.hovers]
         if not at or len(self._waiting) - 1 - at[-1] > BARED:
@@ -269,7 +269,7 @@ class LightContacts:
 
 
 def _went_along(before: Sequence[LitFrame], first: LitFrame) -> int:
-    """How many frames before the first that shows a dent, latest first, are under the same press.
+    """Number of frames before the first that shows a dent, latest first, that are under the same press.
 
     The instrument goes along with a dent in oblique tissue, and bares a part of it. A dent that the instrument hides
     all but the edge of may not show in a single frame.
@@ -286,7 +286,7 @@ def _went_along(before: Sequence[LitFrame], first: LitFrame) -> int:
 
 
 def _out_of_contact(prepared: PreparedFrame, reason: str) -> None:
-    """What outlines take for contact, and light doesn't."""
+    """Reject a contact that outlines show, and light doesn't."""
     if prepared.in_contact or prepared.hovers:
         prepared.status, prepared.detail, prepared.geometry = "no_contact", reason, None
         prepared.contact_probability, prepared.undecided = math.nan, False

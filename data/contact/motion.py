@@ -1,4 +1,4 @@
-"""How the tissue at the contact moves: between two frames, and from the onset of contact through its release.
+"""Motion of the tissue at the contact: between two frames, and from the onset of contact through its release.
 
 A contact point that is detected anew in every frame slides over the tissue with the tool. Following the same tissue
 point instead (dense optical flow, then its depth) observes deformation.

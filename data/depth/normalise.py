@@ -246,7 +246,7 @@ def label_areas(depth: np.ndarray, labels: np.ndarray, size: tuple[int, int]) ->
 
 @lru_cache(maxsize=8)
 def _covered(side: int, own: int) -> tuple[np.ndarray, ...]:
-    """What pixels of a grid of `own` along an axis cover of `side`, as OpenCV has it.
+    """Parts of `side` pixels along an axis that those of a grid of `own` cover, as OpenCV has it.
 
     Returns:
         Where each one's part begins in the others, shape [own + 1]; pixels covered; share of each in the mean, float32.

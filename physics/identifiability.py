@@ -92,7 +92,12 @@ def ratio_bounds(information: np.ndarray) -> np.ndarray:
 
 
 def verdict(information: np.ndarray) -> Verdict:
-    """`determined`: every parameter's bound lies below the limit. `ratios`: not, but those of k_s/k_d and F/k_d do."""
+    """`determined`: every parameter's bound lies below the limit.
+
+    `ratios`: not, but those of k_d/k_s, and of F/k_d or F/k_s, do.
+    """
     if (bounds(information) < LIMIT).all():
         return "determined"
-    return "ratios" if (ratio_bounds(information) < LIMIT).all() else "undetermined"
+    by_stiffness = combination_bounds(information, [[-1, 1, 0], [-1, 0, 1]])
+    known = (ratio_bounds(information) < LIMIT).all() or (by_stiffness < LIMIT).all()
+    return "ratios" if known else "undetermined"

@@ -207,7 +207,8 @@ class ShadingRecorder:
 
     def record(self, times: np.ndarray, light: list[tuple[np.ndarray, bool]], _: int = 0) -> ShadingSequence:
         """The sequence of some frames, times since the onset [s]."""
-        aside = self._dent([brightness(one) - brightness(self._rest) for one, free in light if free])
+        rest = brightness(self._rest)
+        aside = self._dent([brightness(one) - rest for one, free in light if free])
         square = ..., *(slice(begin, begin + SIDE) for begin in FINE * (FAR + aside))
         stacked = np.stack([one[square] for one, _ in light]) if light else np.empty((0, 3, SIDE, SIDE), np.float32)
         noise = np.median(self._noise, axis=0) if self._noise else np.full(3, np.nan)
@@ -219,7 +220,7 @@ class ShadingRecorder:
         0 where that is not clear, or where the dent may lie at the contact.
         """
         here = np.zeros(2, np.int64)
-        if len(changes) < 3 or len(self._offsets) == 1:
+        if len(changes) < 3:
             return here
         shown = np.isfinite(changes).mean(axis=0) > 0.5
         change = smoothed(np.where(shown, _median(np.stack(changes)), np.nan))

@@ -117,17 +117,11 @@ class PressResult:
     def verdict(self) -> str:
         """`determined`, `ratios` or `undetermined` (see physics.identifiability.verdict).
 
-        `ratios` also where k_d/k_s and F/k_s are determined and F/k_d isn't, since these are what it gives.
         Nothing is determined by a model that does not explain the motion.
         """
         if not self.explained:
             return "undetermined"
-        found = self.given_verdict or verdict(self.verdict_information)
-        return (
-            "ratios"
-            if found == "undetermined" and {"damping_over_stiffness", "force_over_stiffness"} <= {*self.determined}
-            else found
-        )
+        return self.given_verdict or verdict(self.verdict_information)
 
     @property
     def determined(self) -> tuple[str, ...]:

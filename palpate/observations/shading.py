@@ -1,12 +1,12 @@
 """Light of the tissue around a contact against the simulator and the law of light.
 
-Its own parameters are where the dent's middle lies, the tilt of the
-plane that the tissue is taken to be, how far its surface is rounded off, how far light spreads in tissue, how rough the
-surface is, how strong the light is that it mirrors as it is wet and into how wide a lobe, the camera's response as a
-power, the share of light that reaches tissue whatever its tilt, its albedo, by which the walls of a dent light each
-other, and how far coded pictures lag behind the light: a
-video leaves changes out until they are worth their bits. All of these have priors. Every frame's gain and every place's
-amplitude are marginalised. Residuals of neighbours and of successive frames are correlated; so fewer of them count.
+Its own parameters are where the dent's middle lies, the tilt of the plane that the tissue is taken to be, how far its
+surface is rounded off, how far light spreads in tissue, how rough the surface is, how strong the light is that it
+mirrors as it is wet and into how wide a lobe, and the camera's response as a power. Further ones are the share of light
+that reaches tissue whatever its tilt, its albedo, by which the walls of a dent light each other, and how far coded
+pictures lag behind the light: a video leaves changes out until they are worth their bits. All have priors. Every
+frame's gain and every place's amplitude are marginalised. Residuals of neighbours and of successive frames are
+correlated; so fewer of them count.
 """
 
 import math

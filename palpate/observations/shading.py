@@ -188,10 +188,6 @@ class ShadingObservation(Observation):
         # What the law gets wrong, and what coding leaves out, shows in the share left and in correlated residuals.
         left = max((1 - self.skill) / USUALLY_LEFT, 1.0) ** 2
         wrong = left * max(self.together / TOGETHER, 1.0)
-        import os
-
-        if os.environ.get("SHOW"):
-            print("    together", self.together, "left", 1 - self.skill, self.noise[[0, 2000, -1]], self._share)
         return wrong * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
 
     def compared(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

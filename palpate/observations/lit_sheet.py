@@ -23,10 +23,29 @@ from palpate.physics.shading import log_brightness, matt, mirrored
 
 SIDE = 2 * (REACH + MARGIN) + 1
 """Rows and columns of vertices around a contact."""
+PLACING = 4
+"""Parameters of where tissue lies: how far the dent lies aside and the plane's tilt."""
+
+
+class Placed(NamedTuple):
+    """Where pixels' tissue lay at rest and has come to lie, at some displacements; N frames, L² pixels."""
+
+    normal: np.ndarray
+    """Unit normal of the plane, shape [3]."""
+    rest: np.ndarray
+    """Logarithms of the light that compared pixels' tissue had at rest, colour by colour, shape [N, 3·P]."""
+    flat: np.ndarray
+    """Depth of the plane at rest, shape [L, L]."""
+    sunk: np.ndarray
+    """Depth of the tissue beyond that, shape [N, L, L]."""
+    facing: np.ndarray
+    """Logarithm of cos θ at rest, shape [N, L²]."""
+    falloff: np.ndarray
+    """Logarithm of the share of light that arrives at rest, shape [N, L²]."""
 
 
 class Shown(NamedTuple):
-    """What pixels show at some displacements, in shares of the matt light at rest; N frames, P = L² pixels."""
+    """What compared pixels show, in shares of the matt light at rest; N frames, P pixels."""
 
     rest: np.ndarray
     """Logarithms of the light that their tissue had at rest, colour by colour, shape [N, 3·P]."""
@@ -72,11 +91,11 @@ class LitSheet:
         """Vertices whose motion shows, shape [V]."""
         self._cells = tuple((offsets[self.vertices] + REACH + MARGIN).T)
         along = (np.arange(FINE * SIDE) + 0.5) / FINE - 0.5
-        self._places = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
+        self._pixels = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
         """Pixels of the lattice on the square of vertices, shape [L, L, 2]."""
         self._first = (self.pixel - REACH - MARGIN).astype(np.float64)
-        self._rays = self.rays(self._places + self._first)
-        self._rest = np.asarray(rest, np.float64)
+        self._rays = self.rays(self._pixels + self._first)
+        self._texture = np.moveaxis(np.asarray(rest, np.float64), 0, -1)
         self.inner = np.zeros(rest.shape[1:], bool)
         """Pixels that are compared, shape [L, L]; what may come to be seen there surrounds them."""
         self.inner[FINE * MARGIN : -FINE * MARGIN, FINE * MARGIN : -FINE * MARGIN] = True
@@ -110,38 +129,54 @@ class LitSheet:
         found[:, self._cells[0], self._cells[1]] = values
         return found
 
-    def shown(self, moved: np.ndarray, others: np.ndarray) -> Shown:
-        """What pixels show.
+    def placed(self, moved: np.ndarray, place: np.ndarray) -> Placed:
+        """Find the tissue that pixels show.
 
         Args:
             moved: displacements of the vertices, shape [N, V, 3].
-            others: how far the dent lies aside (rows, columns) [grid pixels], the plane's tilt (right, down), and
-                logarithms of how far the surface is rounded off [grid pixels], how far light spreads in tissue
-                [grid pixels], and how wide the lobe of mirrored light is [rad], then the roughness, as in `matt`,
-                shape [8].
+            place: how far the dent lies aside (rows, columns) [grid pixels], and the plane's tilt (right, down),
+                shape [PLACING].
         """
-        aside, normal, rough = others[:2], self.normal_at(others[2:4]), others[7]
-        rounding, spreading = np.exp(others[4:6])
+        aside, normal = place[:2], self.normal_at(place[2:])
         # The dent turns with the plane.
         field = np.einsum("ij,nrcj->nrci", _rotation(self.normal, normal), self.dense(moved))
-        plane, pixels = self.distance * (self.ray @ normal), self._places.reshape(-1, 2)
+        plane, pixels = self.distance * (self.ray @ normal), self._pixels.reshape(-1, 2)
         place = _rested(field, pixels, aside, self._first - self.middle, self.focal, plane, normal)
         away = between(field[..., 2:], place - aside)[..., 0]
         rays, flat = self.rays(place + self._first), self._depth(self._rays, normal)
         depth, square = self._depth(rays, normal), np.log(np.einsum("npi,npi->np", rays, rays))
-        facing_at_rest, falloff_at_rest = np.log(np.abs(rays @ normal)) - 0.5 * square, -square - 2 * np.log(depth)
-        surface = _rounded((depth + away).reshape(len(moved), *flat.shape) - flat, rounding) + flat
-        facing, falloff = (part.reshape(len(moved), -1) for part in log_brightness(surface, self._rays))
-        rest, farther = matt(facing_at_rest, rough), np.exp(falloff - falloff_at_rest)
-        direct = (matt(facing, rough) * farther / rest).reshape(surface.shape)
-        texture = np.moveaxis(self._rest, 0, -1)
-        texture = np.broadcast_to(texture, (len(moved), *texture.shape))
+        texture = np.broadcast_to(self._texture, (len(moved), *self._texture.shape))
+        rest = between(texture, place[:, self.inner.ravel()] * FINE + 0.5 * (FINE - 1))
+        return Placed(
+            normal,
+            np.moveaxis(rest, -1, 1).reshape(len(moved), -1),
+            flat,
+            (depth + away).reshape(len(moved), *flat.shape) - flat,
+            np.log(np.abs(rays @ normal)) - 0.5 * square,
+            -square - 2 * np.log(depth),
+        )
+
+    def shown(self, placed: Placed, surface: np.ndarray) -> Shown:
+        """What compared pixels show.
+
+        Args:
+            placed: their tissue.
+            surface: logarithms of how far it is rounded off [grid pixels], how far light spreads in it [grid pixels],
+                and how wide the lobe of mirrored light is [rad], then its roughness, as in `matt`, shape [4].
+        """
+        rounding, spreading = np.exp(surface[:2])
+        lobe, rough = surface[2:]
+        depth, inner = _rounded(placed.sunk, rounding) + placed.flat, self.inner.ravel()
+        facing, falloff = (part.reshape(len(depth), -1) for part in log_brightness(depth, self._rays))
+        rest, farther = matt(placed.facing, rough), np.exp(falloff - placed.falloff)
+        direct = (matt(facing, rough) * farther / rest).reshape(depth.shape)
+        rest, farther = rest[:, inner], farther[:, inner]
         return Shown(
-            np.moveaxis(between(texture, place * FINE + 0.5 * (FINE - 1)), -1, 1).reshape(len(moved), -1),
-            _rounded(direct, spreading).reshape(facing.shape),
-            mirrored(facing, others[6]) * farther / rest,
-            mirrored(facing_at_rest, others[6]) / rest,
-            self._received(surface, direct),
+            placed.rest,
+            _rounded(direct, spreading)[:, self.inner],
+            mirrored(facing[:, inner], lobe) * farther / rest,
+            mirrored(placed.facing[:, inner], lobe) / rest,
+            self._received(depth, direct),
         )
 
     def _received(self, surface: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -149,8 +184,7 @@ class LitSheet:
         grid = slice(FINE * MARGIN, -FINE * MARGIN, FINE)
         points = (surface[..., None] * self._rays)[:, grid, grid]
         found = exchanged(np.ascontiguousarray(points), np.ascontiguousarray(light[:, grid, grid]))
-        found = found.repeat(FINE, axis=1).repeat(FINE, axis=2)
-        return np.pad(found, ((0, 0), *2 * [(FINE * MARGIN, FINE * MARGIN)])).reshape(len(surface), -1)
+        return found.repeat(FINE, axis=1).repeat(FINE, axis=2).reshape(len(surface), -1)
 
 
 def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -228,9 +262,11 @@ def _rested(still, pixels, aside, shift, focal, plane, normal):
                 away = bilinear(field, top, left, down, right, 2)
                 y, x = (row + shift[0]) / focal[0], (column + shift[1]) / focal[1]
                 beyond = plane / (x * normal[0] + y * normal[1] + normal[2]) + away
+                last_row, last_column = row, column
                 row = pixels[index, 0] - focal[0] * (across_y - y * away) / beyond
                 column = pixels[index, 1] - focal[1] * (across_x - x * away) / beyond
-                if np.isnan(row + column):
+                # Where nothing is known, too.
+                if not abs(row - last_row) + abs(column - last_column) > 1e-9:
                     break
             found[frame, index, 0], found[frame, index, 1] = row, column
     return found

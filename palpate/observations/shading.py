@@ -22,7 +22,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.light import FINE, brightness
 from palpate.data.shading.sequence import RestingLight, ShadingRecorder, ShadingSequence
 from palpate.observations.base import Observation, Parameter
-from palpate.observations.lit_sheet import LitSheet, Shown
+from palpate.observations.lit_sheet import PLACING, LitSheet, Shown
 from palpate.physics.load import Press
 from palpate.physics.observation import CommonErrors, Linearised
 from palpate.physics.observation import Observation as Points
@@ -104,9 +104,9 @@ class ShadingObservation(Observation):
         nothing = Points.of_point(load.vertex, self.times, np.full((len(self.times), 3), np.nan), np.nan)
         self.press = replace(contact.having(point=nothing, depth=None), mesh=self.sheet.mesh, load=load)
         """The contact on the plane; none of its points is followed."""
-        self.observed = self.sequence.light.reshape(len(self.times), -1).astype(np.float64)
+        self.observed = self.sequence.light[..., self.sheet.inner].reshape(len(self.times), -1).astype(np.float64)
         """Colour by colour, shape [N, 3·P]."""
-        self._inner, rest = np.tile(self.sheet.inner.ravel(), 3), self.sequence.rest.ravel()
+        self._rest = rest = self.sequence.rest[:, self.sheet.inner].ravel()
         bright = brightness(self.sequence.rest)
         self._share = np.exp([np.nanmedian(colour - bright) for colour in self.sequence.rest])
         """Light of every colour over that of red and green, at rest."""
@@ -115,7 +115,7 @@ class ShadingObservation(Observation):
         # What a level of 8 bits is in the logarithm of light, by a response of 1/2.2.
         self._level = 2.2 / 255 * np.exp(-rest / 2.2)
         self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
-        self.noise = np.repeat(np.maximum(self.sequence.noise, LEAST_NOISE), self.sheet.inner.size)
+        self.noise = np.repeat(np.maximum(self.sequence.noise, LEAST_NOISE), self.sheet.inner.sum())
         """Standard deviation of a residual where the law predicts no change, shape [3·P]."""
         self.together = 1.0
         """How many residuals count as one."""
@@ -137,27 +137,34 @@ class ShadingObservation(Observation):
 
     def predicted(self, logs: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithms of the light at displacements [N, V, 3], and the law's part of them, shape [N, 3·P] each."""
-        return self._light(self.sheet.shown(moved, logs[-OTHERS:-LAW]), logs)
+        placing, surface = np.split(logs[-OTHERS:-LAW], [PLACING])
+        return self._light(self.sheet.shown(self.sheet.placed(moved, placing), surface), logs)
 
     def _light(self, shown: Shown, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithms of the light in a coded video, and the law's part of what they were before, [N, 3·P] each."""
         law = np.concatenate([_law(shown, share, *logs[-LAW:-1]) for share in self._share], axis=1)
-        return coded(shown.rest + law, self.sequence.rest.ravel(), logs[-1] * self._level, self._followed), law
+        return coded(shown.rest + law, self._rest, logs[-1] * self._level, self._followed), law
 
     def tangent(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logarithms of the light [N, 3·P], and their derivatives by all parameters [N, 3·P, D]."""
-        shown = self.sheet.shown(moved, logs[-OTHERS:-LAW])
+        placing, surface, _ = np.split(logs[-OTHERS:], [PLACING, -LAW])
+        placed = self.sheet.placed(moved, placing)
+        shown = self.sheet.shown(placed, surface)
         light = self._light(shown, logs)[0]
-        found = np.empty((*light.shape, len(logs)))
-        for index in range(len(logs)):
-            ahead, stepped = moved, logs.copy()
-            if index < len(logs) - OTHERS:
-                ahead = moved + STEP * slopes[..., index]
+        found = np.empty((len(logs), *light.shape))
+        press = len(logs) - OTHERS
+        for index, step in enumerate(STEP * np.eye(len(logs))):
+            stepped = logs + step
+            if index < press:
+                ahead = self.predicted(logs, moved + STEP * slopes[..., index])
+            elif index < press + PLACING:
+                ahead = self.predicted(stepped, moved)
+            elif index < len(logs) - LAW:
+                ahead = self._light(self.sheet.shown(placed, stepped[press + PLACING : -LAW]), stepped)
             else:
-                stepped[index] += STEP
-            law_alone = index >= len(logs) - LAW
-            found[..., index] = (self._light(shown, stepped) if law_alone else self.predicted(stepped, ahead))[0]
-        return light, (found - light[..., None]) / STEP
+                ahead = self._light(shown, stepped)
+            found[index] = ahead[0]
+        return light, np.moveaxis((found - light) / STEP, 0, -1)
 
     def linearise(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray) -> Linearised:
         """See `Observation`, the priors' residuals behind those of the light."""
@@ -193,14 +200,14 @@ class ShadingObservation(Observation):
     def compared(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted less observed, 0 where either isn't known, and the inverse variances [N, P]."""
         residual = light - self.observed
-        known = np.isfinite(residual) & self._inner
+        known = np.isfinite(residual)
         variance = self.together * self.noise**2
         return np.where(known, residual, 0.0), np.where(known, self._weight / variance, 0.0)
 
     def look(self, moved: np.ndarray, slopes: np.ndarray, logs: np.ndarray, *, outliers: bool = False) -> None:
         """Measure residuals near the best: their size, which are outliers, how they are correlated."""
         light, law = self.predicted(logs, moved)
-        residual = np.where(self._inner, light - self.observed, np.nan)
+        residual = light - self.observed
         known = np.isfinite(residual)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # frames that show nothing
@@ -208,7 +215,7 @@ class ShadingObservation(Observation):
         law = np.where(known, law, 0.0)
         colours = zip(np.split(residual, 3, axis=1), np.split(known, 3, axis=1), strict=True)
         noise = [max(median_sd(part[mask]), LEAST_NOISE) for part, mask in colours]
-        self.noise = np.repeat(noise, self.sheet.inner.size)
+        self.noise = np.repeat(noise, self.sheet.inner.sum())
         # Standard deviation of what the law gets wrong, as a share of the logarithm that it predicts.
         inflated = 1 + np.square(0.1 * law / self.noise)
         squares = np.square(residual / self.noise) / inflated
@@ -218,9 +225,10 @@ class ShadingObservation(Observation):
         white = np.where(known, np.sign(residual) * np.sqrt(student * squares), 0.0)
         self._law, root = law, np.where(known, np.sqrt(self._weight) / self.noise, 0.0)
         white = without_amplitude(white[..., None], (AMPLITUDE * law * root)[..., None])[..., 0]
-        shape = (len(white), 3, *self.sheet.inner.shape)
+        side = math.isqrt(int(self.sheet.inner.sum()))
+        shape = (len(white), 3, side, side)
         self.together = _together(white.reshape(shape), known.reshape(shape))
-        change = np.where(known, self.observed - self.sequence.rest.ravel(), 0.0)
+        change = np.where(known, self.observed - self._rest, 0.0)
         moving = (np.abs(law) > MOVED * self.noise) | (np.abs(np.nan_to_num(change)) > MOVED * self.noise)
         left, whole = (np.square(np.clip(np.nan_to_num(part[moving]), -1, 1)).sum() for part in (residual, change))
         self.skill = 1 - math.sqrt(left / whole) if whole > 0 else 0.0

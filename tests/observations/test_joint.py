@@ -62,7 +62,8 @@ def test_depth_and_shading_of_one_press_constrain_it_more_than_depth_alone() -> 
     shading = ShadingObservation(dark)
     motion = PressMotion(dark, MECHANICS, shading.vertices, shading.times)
     start = np.append(logs, [each.mean for each in shading.nuisance])
-    light = shading.predicted(start, motion.at(logs)[0])[0].reshape(8, 3, SIDE, SIDE)
+    light = np.tile(rest, (8, 1, 1, 1))
+    light[..., shading.sheet.inner] = shading.predicted(start, motion.at(logs)[0])[0].reshape(8, 3, -1)
     light += generator.normal(0, 0.01, light.shape)
     assert np.nanmin(light - rest) < -0.1
     both = contact.having(shading=ShadingSequence(shading.times, light.astype(np.float32), rest, noise))

@@ -160,8 +160,7 @@ class PressShape:
     fall: float = 0.0
     """Time that it takes to fall from F to nothing, before the load's end [s]."""
     lean: Pair = (0.0, 0.0)
-    """Lean of the direction along which a positive F acts: its part along the surface, towards the picture's right and
-    towards its lower side, over that along the normal."""
+    """Lean of a positive F: its parts towards the picture's right and lower side over its part along the normal."""
 
     def leaning(self, normal: np.ndarray) -> np.ndarray:
         """Unit vector along which a positive F acts, of a normal [3] that is not the picture's x axis, shape [3]."""

@@ -11,6 +11,9 @@ from scipy.ndimage import maximum_filter
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import Delaunay, KDTree
 
+NORM_GUARD = 1e-18
+"""Addend under square roots of squared lengths, so that a length of zero has a gradient."""
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -90,7 +93,7 @@ def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[n
     Args:
         corners: of triangles in a plane or of tetrahedra, shape [F, D + 1, D]; none is flat.
         points: shape [P, D].
-        candidates: so many simplices whose centres are closest are looked at.
+        candidates: number of simplices compared, those whose centres are closest.
 
     Returns:
         shapes [P] and, as barycentric coordinates, [P, D + 1].

@@ -67,8 +67,8 @@ class Observation:
     displacement: np.ndarray
     """Displacements from rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not observed."""
     noise: np.ndarray
-    """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]: across
-    the line of sight it may be far smaller than along it. Not a number where it isn't known."""
+    """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]; NaN
+    where it isn't known."""
 
     def __post_init__(self) -> None:
         expected = (len(self.vertices), len(self.times), 3)

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array
-from scipy.sparse.linalg import splu
 from scipy.special import k0e, k1e
 
 from palpate.data.synthetic.scene import Scene, draw_way, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import TrueMotion
+from palpate.physics.fem.linear_system import factorised
 from palpate.physics.mesh import grid_springs, laplacian
 
 SUBSTEPS = 8
@@ -163,9 +163,7 @@ def _integrate(
     held = (apart <= GRIP_RADIUS).ravel()
     advanced = matrix + shift * diags_array(np.ones(rows * columns))
     free = advanced[~held]
-    # The matrix is symmetric and positive definite, so it needs no pivoting.
-    symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    factors = splu(free[:, ~held].tocsc(), **symmetric)
+    factors = factorised(free[:, ~held].tocsc())
     ties = free[:, held].sum(axis=1)[:, None]
     place, before, speed, speed_before = (np.zeros((rows * columns, 2)) for _ in range(4))
     displacement, reaction = [np.zeros((*scene.mesh.grid_shape, 2))], [np.zeros(2)]

@@ -3,11 +3,16 @@
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import LinearOperator, SuperLU, aslinearoperator, cg, splu
 
 DIRECT = 10_000
-"""Unknowns up to which the matrix is factorised at once: filling-in grows with their square, iterations don't."""
+"""Largest number of unknowns of a matrix that is factorised at once: fill-in grows with their square."""
+
+
+def factorised(matrix: csc_array) -> SuperLU:
+    """Factors of a symmetric matrix, without pivoting: its order is chosen for a symmetric pattern."""
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 class LinearSystem:
@@ -56,8 +61,8 @@ class LinearSystem:
 
     @cached_property
     def factors(self) -> SuperLU:
-        """Factors of the matrix, without pivoting: its order is chosen for a symmetric pattern."""
-        return splu(self.matrix.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        """Factors of the matrix."""
+        return factorised(self.matrix.T)
 
     @cached_property
     def _diagonal(self) -> LinearOperator | None:

@@ -141,11 +141,11 @@ def mesh_surface(
         triangles: indices of their corners, shape [F, 3]; in any order, with holes or edges of more than two
             triangles. Where closed parts overlap counts as outside.
         cells: of the grid along the surface's longest side.
-        floor: axis, and the place on it below which the body is cut off, as where it is held: nodes lie on that plane
-            whatever the grid, so that the support doesn't depend on it.
-        longest: what edges are divided to, as `refine` takes it, once all nodes are drawn onto the surface: elements
-            that keep some off it are left out, of which a round body of coarse straight elements is smaller, one of
-            curved elements (`physics.fem.curved`) isn't. None = some may lie off it by a tenth of a cell.
+        floor: axis, and the place on it below which the body is cut off, as where it is held. Nodes lie on that plane
+            whatever the grid.
+        longest: largest length of edges, as in `refine`, once all nodes are drawn onto the surface; elements that keep
+            some off it are left out. A round body of coarse straight elements then is smaller, one of curved elements
+            (`physics.fem.curved`) isn't. None = nodes may lie off the surface by a tenth of a cell.
 
     Raises:
         NoBody: shapes that don't fit, no area, nothing enclosed, a floor above all of it.
@@ -201,9 +201,9 @@ def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
 def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Origin [3] and sides [3] of the cells, and their numbers [3], one more on either side of a box than fill it.
 
-    The box's faces are cells' faces, so that a body with flat sides along the axes loses and gains nothing: where a
-    face goes through the cells' middle, it is rounding that says which of them are inside. A box thinner than half a
-    cell lies in the middle of one.
+    The box's faces are cells' faces, so that a body with flat sides along the axes keeps its volume: rounding would
+    decide which cells are inside where a face goes through their middle. A box thinner than half a cell lies in the
+    middle of one.
     """
     span = high - low
     count = np.maximum(np.round(span / spacing), 1)

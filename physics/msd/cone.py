@@ -15,8 +15,6 @@ from palpate.physics.msd.reference import integrator
 
 GRID_EIGENVALUE = 9.0
 """Upper bound on the eigenvalues of the graph Laplacian of springs right, down and along one diagonal."""
-
-
 INSIDE = 1e-3
 """Factor by which the window used may neglect less than the smaller one it is checked with."""
 
@@ -46,8 +44,8 @@ ALONE = Reach()
 def exact_radii(steps: int, reach: Reach = ALONE) -> np.ndarray:
     """Radius within which each step must be computed, shape [T], int64; exact for the watched vertices' trajectories.
 
-    A step carries influence one spring further. From rest, step t can only move vertices within t of the load, and
-    only those within T−1−t of a watched one can still reach it before the end.
+    A step carries influence one spring further. From rest, step t only moves vertices within t of the load. Only those
+    within T−1−t of a watched one can still reach it before the end.
     """
     step = np.arange(steps)
     return reach.narrowed(step, steps - 1 - step)
@@ -58,10 +56,10 @@ def window_radii(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radii of two windows inside the exact cone, shapes [T], int64: the one to use and a smaller one to check it with.
 
-    A response after τ steps is a polynomial in the elastic operator K. Written in Chebyshev polynomials on K's spectrum
-    [0, k_s·λ], λ being GRID_EIGENVALUE, whatever lies n springs away only gets the terms of degree n and more, so the
-    sum of their coefficients bounds what a window of radius n neglects. That holds for small deformation; the
-    comparison of both windows' trajectories is what shows that it holds for the case at hand.
+    A response after τ steps is a polynomial in the elastic operator K, written in Chebyshev polynomials on K's spectrum
+    [0, k_s·GRID_EIGENVALUE]. Vertices n springs away only get the terms of degree n and more: the sum of their
+    coefficients bounds what a window of radius n neglects. The bound is for small deformation; comparing both windows'
+    trajectories shows whether it holds for the case at hand.
 
     Args:
         stiffness: k_s.

@@ -21,12 +21,7 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
     """
     weight = observation.weight.clamp(min=0.0)
     total = weight.sum(dim=1)
-    squared = _difference(trajectory, observation).square().sum(dim=-1)
-    return (weight * squared).sum(dim=1) / torch.where(total > 0, total, 1.0)
-
-
-def _difference(trajectory: Tensor, observation: ObservationBatch) -> Tensor:
-    """Simulated minus observed displacement [B, M, 3]; 0 where nothing was observed."""
     steps = observation.steps.clamp(0, trajectory.shape[1] - 1)
     simulated = torch.gather(trajectory, 1, steps[..., None].expand(-1, -1, 3))
-    return torch.where((observation.weight > 0)[..., None], simulated - observation.displacement, 0.0)
+    difference = torch.where((weight > 0)[..., None], simulated - observation.displacement, 0.0)
+    return (weight * difference.square().sum(dim=-1)).sum(dim=1) / torch.where(total > 0, total, 1.0)

@@ -46,8 +46,8 @@ def rollout_sensitivities(
 ) -> tuple[Tensor, Tensor]:
     """Result of `rollout`, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
 
-    Arguments and errors as in `rollout`. The derivatives have θ as a further last axis; they are 0, with a warning,
-    where the compiled motion is so chaotic that rounding decides them.
+    Arguments and errors as in `rollout`. The derivatives have θ as a further last axis. They are 0, with a warning,
+    where the motion is so chaotic that rounding decides them.
     """
     theta, watched = _checked(theta.detach(), meshes, loads, watch)
     found, slopes = CompiledRollout.apply(theta, meshes, loads, watched, mechanics, True)

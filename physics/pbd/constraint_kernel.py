@@ -15,7 +15,7 @@ two or three steps, so that it depends on where it began no more than a singular
 import numpy as np
 
 from palpate.physics.jit import inlined
-from palpate.physics.pbd.body import NORM_GUARD
+from palpate.physics.mesh import NORM_GUARD
 
 _NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 

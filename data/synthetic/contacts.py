@@ -1,8 +1,7 @@
 """Contacts without pictures: motions of the true scenes' meshes, as many as a network's first training needs.
 
-Geometry, tissue and timing are drawn as for the synthetic clips (`data.synthetic`), but the motion is the simulator's
-own and nothing is rendered, which is some hundred times faster. What a training reads of them is the observed motion; θ
-is kept for evaluation alone.
+Geometry, tissue and timing are drawn as for the synthetic clips (`data.synthetic`). The motion is the simulator's own
+and nothing is rendered, which is some hundred times faster. Training reads the observed motion; θ is for evaluation.
 """
 
 import itertools

@@ -37,11 +37,7 @@ class Reach(NamedTuple):
         return np.minimum(from_load + self.loaded, to_watched + self.watched)
 
 
-ALONE = Reach()
-"""Reach where one vertex is loaded and watched."""
-
-
-def exact_radii(steps: int, reach: Reach = ALONE) -> np.ndarray:
+def exact_radii(steps: int, reach: Reach) -> np.ndarray:
     """Radius within which each step must be computed, shape [T], int64; exact for the watched vertices' trajectories.
 
     A step carries influence one spring further. From rest, step t only moves vertices within t of the load. Only those
@@ -52,7 +48,7 @@ def exact_radii(steps: int, reach: Reach = ALONE) -> np.ndarray:
 
 
 def window_radii(
-    stiffness: float, damping: float, mechanics: Mechanics, steps: int, reach: Reach = ALONE
+    stiffness: float, damping: float, mechanics: Mechanics, steps: int, reach: Reach
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radii of two windows inside the exact cone, shapes [T], int64: the one to use and a smaller one to check it with.
 
@@ -75,7 +71,7 @@ def window_radii(
     wider = 2 ** (math.ceil(8 * math.log2(stiffness)) / 8)
     slower = 2 ** (math.floor(8 * math.log2(damping)) / 8) if damping > 1e-6 else 0.0
     # Only the smaller of both radii counts, so that responses are needed over half of the time, or over all of it.
-    horizon = int(exact.max()) + 1 if reach == ALONE else steps
+    horizon = int(exact.max()) + 1 if reach == Reach() else steps
     step = np.arange(steps)
     elapsed, left = np.minimum(step, horizon), np.minimum(steps - step, horizon)
     reaches = _decay(wider, slower, mechanics, horizon)

@@ -13,12 +13,15 @@ from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd.autograd import CompiledRollout
 
-DEFAULT = Mechanics()
 Watch = Tensor | None
 
 
 def rollout(
-    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], mechanics: Mechanics = DEFAULT, watch: Watch = None
+    theta: Tensor,
+    meshes: Sequence[Mesh],
+    loads: Sequence[Press],
+    mechanics: Mechanics,
+    watch: Watch = None,
 ) -> Tensor:
     """Displacement of a few vertices after each step, differentiable in θ.
 
@@ -42,7 +45,11 @@ def rollout(
 
 
 def rollout_sensitivities(
-    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], mechanics: Mechanics = DEFAULT, watch: Watch = None
+    theta: Tensor,
+    meshes: Sequence[Mesh],
+    loads: Sequence[Press],
+    mechanics: Mechanics,
+    watch: Watch = None,
 ) -> tuple[Tensor, Tensor]:
     """Result of `rollout`, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
 

@@ -9,7 +9,7 @@ from palpate.common.settings import shown
 from palpate.data.source.layout import InputError
 
 LARGEST_BASELINE = 0.5
-"""A larger distance of a pair's cameras is in millimetres [m]."""
+"""Largest distance of a pair's cameras [m]; larger numbers are in millimetres."""
 
 
 def own_entries(entries: Mapping[str, Any], where: str) -> Mapping[str, Any]:
@@ -80,7 +80,7 @@ def _pair(known: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _beside(rotation: Any, translation: Any) -> dict[str, Any]:
-    """Where the right camera is."""
+    """Entries of the right camera's pose."""
     moved = np.array(_numbers(translation, 3))
     metres = moved / 1000 if np.abs(moved).max() > LARGEST_BASELINE else moved
     return {"rotation": _numbers(rotation, 9), "translation": metres.tolist()}

@@ -67,7 +67,7 @@ class FrameSource(ABC):
     begin_ns: int = 0
     """Time stamp of the first frame on the clock of what recorded it [ns]; 0 where nobody knows."""
     frame_id: str = "camera_optical_frame"
-    """What ROS calls the camera's axes: x right, y down, z away from it."""
+    """Name of the camera's axes in ROS: x right, y down, z away from it."""
 
     @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
@@ -222,7 +222,7 @@ class RosBag(Pictures):
         self.topic = topic_of(path, layout.topic)
         stamps = time_stamps(read_topic(path, self.topic), f"{printable(path)} ({plain(self.topic)})")
         self._new = np.diff(stamps, prepend=stamps[:1] - 1) > 0
-        """Whether each picture's time stamp is after that of the one before, shape [N]."""
+        """Mask of pictures whose time stamp is after that of the one before, shape [N]."""
         stamps = stamps[self._new]
         steps, self.length = np.diff(stamps) / 1e9, len(stamps)
         self.fps = min(1 / float(np.median(steps)), LARGEST_FPS) if self.length > 1 else layout.fps

@@ -94,7 +94,7 @@ def picture_size(path: Path, width: int, height: int, least: int = 32, aspect: i
 
 
 def _truncated(content: bytes) -> bool:
-    """Whether a PNG or JPEG lacks its end marker: decoders may fill up the rest of the picture with grey."""
+    """Return whether a PNG or JPEG lacks its end marker: decoders may fill up the rest of the picture with grey."""
     if content.startswith(b"\x89PNG"):
         return b"IEND" not in content[-4096:]
     return content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content[-4096:]

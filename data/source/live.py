@@ -18,7 +18,7 @@ from palpate.data.source.layout import InputError
 
 
 class LiveSource(FrameSource):
-    """Pictures as they come. Whoever iterates again goes on with the pictures of then.
+    """Pictures as they come; another iteration goes on with the pictures of then.
 
     Args:
         name: of the source, for messages.
@@ -39,7 +39,7 @@ class LiveSource(FrameSource):
         self.dropped = 0
         """Pictures that were dropped."""
         self.came: dict[int, float] = {}
-        """When the pictures came, by the frame's number, until somebody takes them out [s of `time.monotonic`]."""
+        """Arrival time of each frame by its number, removed by the consumer [s of `time.monotonic`]."""
         self._pictures, self._clocked = pictures, clocked
         self._waiting: deque[tuple[int, float, np.ndarray]] = deque()
         self._ended = self.stopped = False

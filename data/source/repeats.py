@@ -1,7 +1,7 @@
 """Pictures that repeat the one before: capture lost a frame, or wrote more frames than it recorded.
 
-Where a clip has noise of its own, a picture without any is a repeat. Where it has none, as in synthetic pictures and in
-compressed video, a still scene looks the same: there a picture repeats if it stands still between pictures that move.
+Where a clip has noise of its own, a picture without any is a repeat. Synthetic pictures and compressed video have none,
+and a still scene looks the same: there a picture repeats if it stands still between pictures that move.
 """
 
 from collections import deque
@@ -14,9 +14,7 @@ import numpy as np
 from palpate.data.source.frames import Frame
 
 MOST_GAPS = 5
-"""Frames in a row that measure nothing and are bridged; after more of them nobody knows what went on."""
-
-
+"""Largest number of frames in a row that measure nothing and are bridged."""
 HISTORY, LEAST_HISTORY = 5, 3
 """Most and fewest changes by which the next one is judged."""
 

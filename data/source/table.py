@@ -18,7 +18,7 @@ MOST_BYTES = 2**26
 
 
 def reason(error: Exception, most: int = 120) -> str:
-    """Why a file can't be read, in a few words of so many letters at most, which don't repeat its content."""
+    """Reason why a file can't be read, in at most `most` letters, which don't repeat its content."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if isinstance(error, UnicodeError):

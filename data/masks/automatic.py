@@ -1,8 +1,7 @@
 """Tool and tissue masks of raw video: instruments by the network that ships, other lit pixels as tissue.
 
-The network's probability is averaged over time: that of the frame before is moved along the optical flow. Of its parts
-those count that are large, enter the view, and were there in the frame before, too. docs/masks.md
-reports its accuracy on real pictures.
+The network's probability is averaged over time: that of the frame before is moved along the optical flow. Parts count
+if they are large, enter the view, and were there in the frame before. docs/masks.md reports the accuracy.
 """
 
 from pathlib import Path
@@ -20,9 +19,7 @@ from palpate.data.source.frames import Frame
 from palpate.data.tracks.flow import FlowCarrier
 
 WEIGHTS = ROOT / MASKS
-"""The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
-NEW_SHARE = 0.7
-"""Weight of a frame's own probability; the rest is that of the frame before."""
+"""File of the network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
 
 
 class AutomaticMasks:
@@ -87,7 +84,7 @@ class AutomaticMasks:
         now = before
         if now is None or self._since % self._every == 0:
             own = self._seen(small)
-            now = own if before is None else NEW_SHARE * own + (1 - NEW_SHARE) * before
+            now = own if before is None else 0.7 * own + (1 - 0.7) * before
         self._since += 1
         self._gray, self._probability = gray, now
         return now, now if before is None else before

@@ -8,15 +8,13 @@ import numpy as np
 from palpate.common.robust import affine_motion
 
 FAR = 60.0
-"""Points farther from the tool than this percentile are the background [%]."""
+"""Percentile of the distance from the tool beyond which points are background [%]."""
 MIN_FAR = 6
-"""Fewer such points determine no affine motion."""
+"""Smallest number of such points that determine an affine motion."""
 ITERATIONS = 6
-"""Rounds of robust fits."""
-OUTLIER = 3.0
-"""Points that move otherwise by more standard deviations are no background."""
+"""Number of rounds of robust fits."""
 LEAST_NOISE = 0.1
-"""Least noise of following, by axis [px]."""
+"""Least noise of tracks, by axis [px]."""
 MEDIAN_LENGTH = 1.1774
 """Median length of a plane normal vector of unit standard deviation by axis."""
 
@@ -27,9 +25,9 @@ class Background(NamedTuple):
     affine: np.ndarray
     """Displacement at (column, row, 1) [px], shape [3, 2]."""
     noise: float
-    """Standard deviation by axis of the displacement of points about it, each for itself [px]."""
+    """Standard deviation by axis of single points' displacement about it [px]."""
     error: float
-    """Standard deviation by axis of what the motion leaves and neighbouring points share [px]."""
+    """Standard deviation by axis of the residual that neighbouring points share [px]."""
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Displacement at places [N, 2] (column, row) [px], shape [N, 2]."""
@@ -46,13 +44,14 @@ def background_motion(places: np.ndarray, step: np.ndarray) -> Background | None
     if len(places) < 30:
         return None
     terms, kept = _terms(places), np.ones(len(places), bool)
+    outlier = 3.0  # standard deviations by which points that are no background move otherwise
     for _ in range(ITERATIONS):
         affine = np.linalg.lstsq(terms[kept], step[kept], rcond=None)[0]
         left = step - terms @ affine
         length = np.linalg.norm(left, axis=1)
-        kept = length < OUTLIER * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
+        kept = length < outlier * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
     # Moving tissue that is no background shall not count for all of it.
-    scale = OUTLIER * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
+    scale = outlier * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
     left = left.clip(-scale, scale)
     # Points of a square share what the background's motion leaves.
     _, block, count = np.unique(places // 64, axis=0, return_inverse=True, return_counts=True)

@@ -140,7 +140,7 @@ class PreparedFrame:
         return self.ends_within(None)
 
     def ends_within(self, reach: float | None) -> np.ndarray | None:
-        """The parts of instruments within `reach` grid pixels of their tips; None = END of the picture's side."""
+        """Parts of instruments within `reach` grid pixels of their tips; None = as in `tips.free_ends`."""
         tool = self.labels == TOOL
         if not (self.visible and tool.any()):
             return None

@@ -34,7 +34,8 @@ class PictureNetwork:
             raise InputError(f"{path} {opening_problem(error)}.") from error
         self._session, inputs = session, session.get_inputs()
         types = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64}
-        types |= {"tensor(uint8)": np.uint8} if raw else {}
+        if raw:
+            types["tensor(uint8)"] = np.uint8
         if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type not in types:
             found = ", ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs)
             raise InputError(f"{path} takes {found}, and not one colour picture; export it that way.")

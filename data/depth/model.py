@@ -1,4 +1,4 @@
-"""An ONNX depth network: the one preprocessing function, the session, and what its output means as depth."""
+"""An ONNX depth network: the one preprocessing function, the session, and its output as depth."""
 
 import glob
 import hashlib
@@ -31,7 +31,7 @@ class RawDepth:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the picture lies in the network's input."""
+    """Place of the picture in the network's input."""
 
     height: int
     """Height of the network's input [px]."""
@@ -48,7 +48,7 @@ class Placement:
 
 
 def place(height: int, width: int, preset: DepthPreset, fixed: tuple[int, int] | None = None) -> Placement:
-    """Network input size for a picture and where the picture lies in it.
+    """Network input size for a picture, and the picture's place in it.
 
     Args:
         height: rows of the picture [px].

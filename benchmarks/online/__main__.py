@@ -4,9 +4,9 @@
         [--match tracks] [--optimizer gauss-newton] [--frames N] [--particles 600] [--points 9000] [--every 10]
 
 Truth is another integrator's on another mesh (benchmarks/online/sequences.py). Each sequence, start and method is a
-line of results.jsonl, so that an interrupted run goes on where it was, and a run of some adds to those that are there.
-Writes table.csv (sequence, start, method, measure, value) and table_2.csv of all that were asked for. A small run:
---sequences thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1000.
+line of results.jsonl: an interrupted run goes on, and a run of some adds to those that are there. Writes table.csv
+(sequence, start, method, measure, value) and table_2.csv of all that were asked for. A small run: --sequences
+thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1000.
 """
 
 import functools

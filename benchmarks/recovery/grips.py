@@ -36,7 +36,7 @@ def gripped(scene: Scene, motion: GrippedMotion, answer: list) -> Row:
 
 
 def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
-    """Frames in which the tool or the tissue it holds moves, shape [F], bool: in others nothing shows contact."""
+    """Mask of frames in which the tool or the held tissue moves, shape [F]; the others don't show contact."""
     camera, vertex = scene.camera, scene.mesh.vertices[scene.vertex]
     held = vertex[:2] + motion.contact[:, :2]
     place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
@@ -44,8 +44,7 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
     if motion.passage is not None:
         tip = project(motion.passage.tip, camera)
     steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
-    # Tool or tissue moves where either has gone so far since the frame before [px].
-    return np.append(False, steps > 1.0)
+    return np.append(False, steps > 1.0)  # px
 
 
 def force_curve(onset: int, grip: PullResult, reaction: np.ndarray, fps: float) -> np.ndarray:
@@ -85,7 +84,7 @@ def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:
 
 
 def curve_errors(curves: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of forces over that of the last frame, and their standard deviations, where they are known, shape [n]."""
+    """Known errors of forces over that of the last frame, and their standard deviations, shape [n]."""
     # The last frame's ratio is 1 by definition.
     true, value, sd = np.concatenate([curve[:, :-1] for curve in curves], axis=1)
     known = np.isfinite(value)

@@ -45,7 +45,7 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         rows = list(csv.DictReader(text))
         truth = json.loads(read_file((clip if clip.is_dir() else clip.with_suffix("")) / "truth.json", MOST_BYTES))
         theta, onset = np.abs([float(truth["theta"][name]) for name in PARAMETERS]), float(truth["onset_s"])
-        # A run of contact is the true one where it begins within so many frames of it.
+        # A run of contact that begins within 1.5 frames of the true one is taken for it.
         begun = [row for row in rows if abs(float(row["onset_time_s"]) - onset) * fps <= 1.5]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
         problem = f"holds no results of infer.py on a clip of data.synthetic ({reason(error)})"

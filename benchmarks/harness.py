@@ -186,7 +186,7 @@ class Store:
 
 
 def _parsed(line: str | bytes, keys: tuple[str, ...]) -> tuple[tuple, Row]:
-    """Key and row of a line: lists are arrays, what is null in one is not a number, and what is null is left out."""
+    """Key and row of a line: lists are arrays, null is NaN in a list, and else left out."""
     row = {name: value for name, value in json.loads(line).items() if value is not None}
     for name, value in row.items():
         if isinstance(value, list):

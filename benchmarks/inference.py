@@ -95,7 +95,7 @@ def synthetic_videos(folder: Path) -> list[Path]:
 
 
 def timed(root: Path, video: Path, output: Path) -> dict[str, Any]:
-    """Run `infer.py` of a checkout; return what it took in all, and then the seconds of its stages.
+    """Run `infer.py` of a checkout; return its total time, and then the seconds of its stages.
 
     Raises:
         RuntimeError: it failed.

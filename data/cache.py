@@ -176,7 +176,7 @@ class CacheEntry:
         """The prepared clip, or None where there is none; a damaged entry is removed."""
         if not isdir(self.folder):  # no entry, or a name that is too long for any folder
             return None
-        with contextlib.suppress(OSError):  # a file is missing, or not as it was written
+        with contextlib.suppress(OSError):  # a file is missing, or damaged
             require_own_folder(self.folder)
             with np.load(self.folder / "clip.npz") as stored:
                 columns = dict(stored)

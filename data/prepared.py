@@ -36,7 +36,7 @@ class PreparedFrame:
     status: str
     """One of STATUSES."""
     detail: str
-    """Reason why the status is not `ok`, or what is wrong with a contact, one sentence; empty where nothing is."""
+    """Reason for a status other than `ok`, or for a dubious contact, one sentence; empty if there is none."""
     depth: np.ndarray
     """z on the grid, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
     labels: np.ndarray

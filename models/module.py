@@ -287,7 +287,7 @@ class PhysicsInformedGAN(LightningModule):
     def _augmented(self, window: Tensor, direction: int) -> Tensor:
         """The window [B, K, H, W] with the noise of training, its invalid pixels (0) as they are.
 
-        The seed follows the step, and the global random state is left as it was, so that resuming is exact.
+        The seed follows the step, and the global random state doesn't change, so that resuming is exact.
         """
         if self.noise is None:
             return window

@@ -44,17 +44,16 @@ class ExpectedBound(nn.Module):
 
     Args:
         features: length of the contact's vector.
-        width: size of the hidden layers.
-        blocks: number of residual layers.
     """
 
-    def __init__(self, features: int, width: int = 128, blocks: int = 2) -> None:
+    def __init__(self, features: int) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            nn.Linear(features, width),
-            *(ResidualLayer(width) for _ in range(blocks)),
-            nn.LayerNorm(width),
-            last := nn.Linear(width, FACTOR_NUMBERS),
+            nn.Linear(features, 128),
+            ResidualLayer(128),
+            ResidualLayer(128),
+            nn.LayerNorm(128),
+            last := nn.Linear(128, FACTOR_NUMBERS),
         )
         with torch.no_grad():
             last.weight.mul_(0.1)

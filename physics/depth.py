@@ -1,4 +1,4 @@
-"""Depth of the tissue around a contact against a motion: what is observed, what errors are expected, the likelihood.
+"""Depth of the tissue around a contact against a motion: observations, expected errors, and the likelihood.
 
 What a pixel shows at a motion is `physics.patches`'; it is decided for a motion near the best and then kept.
 Errors are new in every frame, or stay where tissue is still and turn with it like a sawtooth where depth is rounded
@@ -130,10 +130,10 @@ class DepthLikelihood:
         self._turning: np.ndarray | float = 0.0
         change, total = self.change(moved), self.noise.total
         self.seen = np.isfinite(change - self.observed)
-        # By what is observed, too: else a model that moves nothing would explain everything. One outlier is no motion.
+        # Also by the observation: else a model without motion would explain everything. One outlier is no motion.
         clear = (np.abs(np.nan_to_num(self.observed)) > MOVED * total).sum(axis=0) >= 3
         self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | clear
-        """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
+        """Mask of pixels that move clearly, in the model or the observation, shape [P]."""
         self._walls = np.square(self._unevenness * self.patches.steepness(moved))
         self.blurs = self.patches.blurs(moved, self.covering)
         """Changes as in `Patches.blurs`, shape [P, N, 2], or of no columns."""

@@ -108,7 +108,7 @@ def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[n
 
 
 def grid_springs(shape: tuple[int, int], down: int, right: int) -> np.ndarray:
-    """Springs [S, 2] of a grid's nodes, numbered row by row, to those so many rows below and columns to the right."""
+    """Springs [S, 2] of a grid's nodes, numbered row by row, to nodes some rows below and columns to the right."""
     number = np.arange(math.prod(shape)).reshape(shape)
     here = number[: shape[0] - down, max(-right, 0) : shape[1] - max(right, 0)]
     there = number[down:, max(right, 0) : shape[1] - max(-right, 0)]
@@ -116,7 +116,7 @@ def grid_springs(shape: tuple[int, int], down: int, right: int) -> np.ndarray:
 
 
 def incidence(springs: np.ndarray, count: int) -> csr_array:
-    """Matrix that sums forces of springs [S, 2] at so many nodes, shape [count, S]: 1 at the first of each, else -1."""
+    """Matrix that sums forces of springs [S, 2] at `count` nodes, shape [count, S]: 1 at the first of each, else -1."""
     number, signs = np.arange(len(springs)), np.repeat([1.0, -1.0], len(springs))
     return csr_array((signs, (springs.T.ravel(), np.tile(number, 2))), shape=(count, len(springs)))
 

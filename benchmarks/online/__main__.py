@@ -53,7 +53,7 @@ class Online(Experiment):
     methods: tuple[Literal["PBD", "PBD-DiffCloud", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
     """which; PBD-DiffCloud on sheets alone"""
     match: Literal["chamfer", "tracks", "both"] = "tracks"
-    """what is observed of a frame (the paper: chamfer)"""
+    """observations of a frame (the paper: chamfer)"""
     optimizer: Optimizer = "gauss-newton"
     """of PBD-RM-ON (the paper: adam)"""
     frames: Annotated[int, HORIZON + 2, LARGEST] | None = None
@@ -115,7 +115,7 @@ class Online(Experiment):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run what is asked for and not there yet, and draw all of it; returns the exit status."""
+    """Run the missing cases, and draw all of them; returns the exit status."""
     return run(Online, arguments, "benchmarks.online", __doc__)
 
 

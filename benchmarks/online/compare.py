@@ -39,18 +39,18 @@ EPOCHS = 25
 def run_case(
     pull: Pull, start: tuple[float, float], name: str, match: str, every: int, optimizer: Optimizer = "gauss-newton"
 ) -> Row:
-    """Follow a pull, and predict from every so many frames.
+    """Track a pull, and predict from every `every`-th frame.
 
-    Every method's gap is the residual mapping by k⁰ to what is observed, whether it looks at that itself or not.
+    Every method's gap is the residual mapping by k⁰ to the observations, even if the method doesn't use them.
 
     Args:
-        pull: what is simulated and observed.
+        pull: simulated sequence.
         start: stiffness of distances and shapes to begin with.
         name: one of `METHODS`.
-        match: what is observed: chamfer (the cloud), tracks (followed points) or both. A cloud alone doesn't show
+        match: observations: chamfer (the cloud), tracks or both. A cloud alone doesn't show
             tissue that slides within its surface.
         every: frames from one prediction to the next.
-        optimizer: of PBD-RM-ON; Gauss–Newton's looks at followed points, whatever is matched.
+        optimizer: of PBD-RM-ON; Gauss–Newton always uses tracks.
 
     Returns:
         Measures by name; T frames, J frames from which is predicted. `chamfer`: distance of the state to the cloud, the

@@ -163,7 +163,7 @@ def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:
 
 
 def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
-    """States of a net that flows down its energy, in steps of Euler's well within what is stable."""
+    """States of a net that flows down its energy, in stable steps of Euler's."""
     rest, _ = _grid(FINE, FINE, (SIDE, SIDE))
     # Nodes to the right and up, and stiffness over that of rows: along rows, along diagonals, and against bending.
     net = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, 0.5), (1, -1, 0.5), (2, 0, 0.05), (0, 2, 0.05))
@@ -178,7 +178,7 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     drag = 1 / 0.005**2 * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]
-    # A node's springs pull at most twice their sum as fast as it moves: half of what is stable.
+    # A node's springs pull at most twice their sum as fast as it moves: half of the stable limit.
     steps = int(np.ceil(2 * float(np.bincount(np.r_[first, second], np.tile(stiffness, 2)).max()) / drag))
     now, before, states = rest.copy(), np.zeros(3), []
     axis = np.linspace(0, SIDE, FINE)

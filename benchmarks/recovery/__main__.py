@@ -22,7 +22,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from benchmarks.harness import OK, Experiment, Report, Row, run
 from benchmarks.recovery.grips import grip_table
-from benchmarks.recovery.scores import Scores, score_all, table
+from benchmarks.recovery.scores import score_all, table
 from benchmarks.recovery.suites import EVERY, GRID_SIZE, SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, opened, run_trial
 from palpate.common.command_line import size_of
@@ -148,17 +148,15 @@ class Benchmark(Experiment):
         if grips:
             tables["grips.csv"] = grip_table(grips)
             shown.append(tables["grips.csv"])
-        lines = [line for scores in judged for line in _estimated(scores)] + _failures(grips)
+        lines: list[tuple[str, str]] = []
+        for scores in judged:
+            count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
+            lines += [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
+        lines += _failures(grips)
         failed = not found or (bool(presses) and not any(row["status"] == OK for row in presses))
         if failed:
             lines.append(("No clip could be estimated.", "red"))
         return Report(tables, shown, lines, failed=failed)
-
-
-def _estimated(scores: Scores) -> list[tuple[str, str]]:
-    """Count the clips of a suite that were estimated, with the reasons of the others."""
-    count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
-    return [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
 
 
 def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:

@@ -86,7 +86,7 @@ class SequenceRecorder:
         return (window - self._window * (1 + moved)).astype(np.float32)
 
     def _measure(self, left: np.ndarray) -> None:
-        """Measure the noise: errors of the far pixels [Q], and what is new since the frame before."""
+        """Measure the noise: errors of the far pixels [Q], and their change since the frame before."""
         first = self._before is None
         values, largest = (left, 1.0) if first else (left - self._before, math.sqrt(2))
         self._measured.append(self._products(values, largest * OUTLIER * self._noise))
@@ -130,7 +130,7 @@ def window_around(centre: np.ndarray) -> tuple[slice, slice]:
 
 
 def _correlated(products: np.ndarray, pairs: int) -> float:
-    """Number of pixels that count as one, from mean square and products with both neighbours, [3], of so many pairs.
+    """Number of pixels that count as one, from mean square and products with both neighbours, [3], of `pairs` pairs.
 
     The correlation of noise that was blurred by a Gaussian falls as ρ^(k²).
     """
@@ -138,8 +138,8 @@ def _correlated(products: np.ndarray, pairs: int) -> float:
     found = 1.0
     for product in neighbours if square > 0 else ():
         correlation = min(product / square, 0.999)
-        # Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480
-        # pixels of the grid share pixels of the picture, and 0.05 is none.
+        # Correlations below three standard deviations of white noise's are chance. At 854x480 pixels of the grid share
+        # pixels of the picture, and 0.05 is none.
         if correlation > 3.0 / math.sqrt(max(pairs, 1)):
             # Noise of pixels that are farther apart than 12 grid pixels is independent.
             found *= 1 + 2 * float(np.power(correlation, np.arange(1, 13) ** 2).sum())

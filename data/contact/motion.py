@@ -130,7 +130,7 @@ class ContactMotion:
                 self._run = None
         elif missing > self.bridge_frames:
             self.settle()
-            # What has darkened since is compared with the light at rest, whatever touched the tissue before.
+            # Darkening is measured against the light at rest, also after earlier contacts.
             self._refused = after.press is None and self._dented(after)
             began = (before.out_of_contact or after.press is not None) and not self._refused
             self._run = self._begin(after) if began else None

@@ -50,7 +50,7 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
 def tool_depth(depth: np.ndarray, tool: np.ndarray) -> np.ndarray:
     """Depth in which the tool's outline lies as near as the tool next to it, shape [h, w] [scene units].
 
-    A pixel of a frayed outline shows what is behind the tool, and makes a hovering tool seem to touch it.
+    A pixel of a frayed outline shows the tissue behind the tool, and makes a hovering tool seem to touch it.
 
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.

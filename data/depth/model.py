@@ -23,9 +23,9 @@ class RawDepth:
     focal: float | None = None
     """Focal length that the network estimated, as a multiple of the picture's width."""
 
-    def thumbnail(self, side: int = 160) -> "RawDepth":
-        """Every n-th pixel, so that neither side exceeds `side` much; enough for robust statistics of a clip."""
-        step = max(1, max(self.values.shape) // side)
+    def thumbnail(self) -> "RawDepth":
+        """Every n-th pixel, about 160 along the longer side; enough for robust statistics of a clip."""
+        step = max(1, max(self.values.shape) // 160)
         return RawDepth(self.values[::step, ::step].copy(), self.focal)
 
 

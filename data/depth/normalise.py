@@ -126,7 +126,7 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
         depth.freeze(samples)
     maps = [depth.convert(sample) for sample in samples]
     valid = [map_[map_ > 0] for map_ in maps if map_.any()]
-    # Single outliers have no effect; what lies beyond three medians is background or a mismatch.
+    # Single outliers have no effect; depth beyond three medians is background or a mismatch.
     extents = [float(min(np.quantile(each, 0.999), 3.0 * np.median(each))) for each in valid]
     if not extents:
         reason = problems[0] if problems else "choose another source with depth.source."

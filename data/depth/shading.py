@@ -16,14 +16,13 @@ GRAZING = 0.05
 """Least cosine between the plane's normal and a ray."""
 
 
-def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera, fewest: int = 200) -> np.ndarray:
+def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.ndarray:
     """Depth from shading as a tilted plane, curved by the smooth residual over the whole organ.
 
     Args:
         depth: of the photometric model, I^-½·cos^1.5 of the ray's angle, shape [h, w], 0 = invalid.
         tissue: mask of tissue, shape [h, w] bool.
         camera: intrinsics of the grid.
-        fewest: smallest number of tissue pixels; with fewer those at its border count as well.
 
     Returns:
         Depth of the same shape and kind, smooth wherever it is valid; tissue keeps its median. Instruments lie on that
@@ -33,8 +32,8 @@ def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera, fewest: i
     valid = tissue & lit
     # Six pixels are left out at the border of tissue, where shadows and other colours lie.
     kept = cv2.erode(valid.astype(np.uint8), np.ones((13, 13), np.uint8), borderValue=1) > 0
-    kept = valid if kept.sum() < fewest else kept
-    if kept.sum() < fewest:
+    kept = valid if kept.sum() < 200 else kept
+    if kept.sum() < 200:
         return depth
     rays = back_project(np.ones_like(depth), camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -66,7 +65,7 @@ def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         left = brightness - 3 * np.log(facing) + 1.5 * np.log(squared)
         left -= np.median(left)
         spread = median_sd(left) + 1e-6
-        # Texture goes together over wide areas: a picture holds 50 independent observations of what is no plane.
+        # Texture is correlated over wide areas: a picture holds 50 independent observations of deviations from a plane.
         # Standard deviation of a plane's tangents before anything is known of it.
         prior = spread**2 / (50 * 0.35**2)
         # Scale of Cauchy's weights, in standard deviations of what the plane leaves.

@@ -52,7 +52,7 @@ class Rectification:
         return [lens.image(each) for each, lens in zip((left, right), self._lenses, strict=False)] or (left, right)
 
     def depth(self, disparity: np.ndarray) -> np.ndarray:
-        """Depth in the left picture as it was, [H, W] [m], of disparity on common rows [px]; 0 = none in both."""
+        """Depth in the unrectified left picture, [H, W] [m], from disparity on common rows [px]; 0 = none in both."""
         found = np.divide(self.product, disparity, out=np.zeros_like(disparity), where=disparity > 0)
         if not self._lenses:
             return found

@@ -27,7 +27,7 @@ class AutomaticMasks:
 
     Args:
         path: the network; by default the one that ships.
-        every: the network runs in one of so many frames; in between its probability is moved along the flow.
+        every: number of frames of which the network runs in one; in between its probability moves along the flow.
         threads, device: as in `PictureNetwork`.
     """
 

@@ -25,7 +25,7 @@ Polygons = list[list[list[float]]]
 
 
 class OutlineSession:
-    """Reads a clip in the background; what it returns is made of what JSON knows.
+    """Reads a clip in the background; its results are JSON values.
 
     Args:
         clip: a video file or a folder of frames.
@@ -51,7 +51,7 @@ class OutlineSession:
         self._reader.start()
 
     def close(self) -> None:
-        """Remove the frames; what was saved stays."""
+        """Remove the frames; saved outlines stay."""
         self._closed = True
         self._reader.join()
         self._folder.cleanup()

@@ -30,7 +30,7 @@ def is_bag(path: Path) -> bool:
 
 @contextmanager
 def _opened(path: Path) -> Generator[Any]:
-    """A bag, open as `rosbags.highlevel.AnyReader`; whatever the library raises on its content becomes one sentence."""
+    """A bag, open as `rosbags.highlevel.AnyReader`; errors of the library become one sentence."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -73,7 +73,7 @@ def read_topic(path: Path, topic: str, kinds: Sequence[str] = IMAGES) -> Iterato
         for connection, recorded, content in reader.messages(chosen) if chosen else ():
             try:
                 message = reader.deserialize(content, connection.msgtype)
-            except Exception:  # whatever parsing of damaged bytes ends with
+            except Exception:  # parsing of damaged bytes may raise anything
                 message = None
             yield recorded, message
 
@@ -133,7 +133,7 @@ def _picture(message: Any, named: str) -> np.ndarray:
 
 
 def _decompressed(content: bytes, label: str, named: str) -> np.ndarray:
-    """Picture of a CompressedImage, whatever its format is called."""
+    """Picture of a CompressedImage of any format name."""
     try:
         return decode_image(content, named)
     except InputError as error:

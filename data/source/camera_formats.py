@@ -76,11 +76,8 @@ def _pair(known: Mapping[str, Any]) -> dict[str, Any]:
     found = _camera(*(known[name] for name in left))
     if right[0] in known:
         found["right"] = _camera(*(known[name] for name in right))
-    return found | (_beside(known["r"], known["t"]) if "t" in known else {})
-
-
-def _beside(rotation: Any, translation: Any) -> dict[str, Any]:
-    """Entries of the right camera's pose."""
-    moved = np.array(_numbers(translation, 3))
+    if "t" not in known:
+        return found
+    moved = np.array(_numbers(known["t"], 3))
     metres = moved / 1000 if np.abs(moved).max() > LARGEST_BASELINE else moved
-    return {"rotation": _numbers(rotation, 9), "translation": metres.tolist()}
+    return found | {"rotation": _numbers(known["r"], 9), "translation": metres.tolist()}

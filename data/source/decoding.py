@@ -168,8 +168,8 @@ class VideoTrack:
         size: width and height of the first picture; None where none can be decoded [px].
         fps: frame rate [1/s].
         length: expected number of frames; 0 = unknown.
-        fields: name and options of FFmpeg's filter that deinterlaces, or removes the flag of what is not interlaced.
-        notes: what is done to the pictures, and what is doubtful about them.
+        fields: name and options of FFmpeg's filter that deinterlaces, or removes a wrong flag.
+        notes: conversions of the pictures, and doubts about them.
     """
 
     def __init__(self, file: Path, span: tuple[float, float], fallback_fps: float) -> None:
@@ -199,7 +199,7 @@ class VideoTrack:
             self._look(container, track)
 
     def _look(self, container: InputContainer, track: VideoStream) -> None:
-        """Find out frame rate, length, size and what is to be done to the pictures."""
+        """Find out frame rate, length, size and conversions of the pictures."""
         offset, stamps, flagged, hdr, picture, stored = FieldOffset(), set(), False, "", None, (0, 0)
         transfers = {ColorTrc.SMPTE2084: "PQ", ColorTrc.ARIB_STD_B67: "HLG"}  # of high dynamic range
         # First frames that are decoded for the frame rate, and for interlacing.

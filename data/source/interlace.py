@@ -1,4 +1,4 @@
-"""Detection of interlaced video by its motion, whatever its flags say, and deinterlacing.
+"""Detection of interlaced video by its motion, without its flags, and deinterlacing.
 
 Even and odd rows of a progressive frame show the same instant, those of an interlaced one instants half a frame apart.
 The time offset between them, in frame intervals, is measured by regression. I are the even rows interpolated to the odd

@@ -65,7 +65,7 @@ class LiveSource(FrameSource):
                     self._waiting.append((number, came, picture))
                     self._drop(came)
                     self._changed.notify()
-        except Exception as error:  # whatever it is, nobody must wait for ever
+        except Exception as error:  # of any kind, so that the reader doesn't wait for ever
             self._error = error
         finally:
             with self._changed:
@@ -122,7 +122,7 @@ def open_live(
         size: width and height of the pipe's pictures [px].
         fps: frames a second; None = the source's own, of a pipe 25.
         pipe: RGB pictures, 3 bytes a pixel, one after the other.
-        every: one of so many pictures is taken, the first one to begin with.
+        every: number of pictures of which the first one is taken.
 
     Raises:
         InputError: it can't be opened, or a size or rate is given that it has of its own.

@@ -1,6 +1,6 @@
 """A sequence beside a robot: clouds or depth with a tool's poses, as `sequence.yaml` names them, in the poses' frame.
 
-Everything is in metres there, whatever unit and frame the files have.
+All lengths are in metres there, whatever the files' unit and frame.
 """
 
 from dataclasses import dataclass

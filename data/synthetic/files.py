@@ -38,7 +38,7 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
 
 
 def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> None:
-    """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read).
+    """Write clip.json (known to users) and truth.json and truth.npz (for no training).
 
     Arrays of truth.npz:
         trajectory [F, 3]: displacement of the vertex that the tool touches.

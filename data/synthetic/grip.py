@@ -2,7 +2,7 @@
 
 The model is a sheet under tension on a foundation, m ü + k_d u̇ + K u = 0 away from the grip: that of `physics.sheet`
 with inertia and damping. The integrator is BDF2 with short steps, on a grid twice as fine that continues outside the
-picture. The sheet lies in the picture's plane and is the same everywhere, whatever the tissue's depth.
+picture. The sheet lies in the picture's plane and is the same everywhere at any depth of the tissue.
 """
 
 import math
@@ -22,7 +22,7 @@ from palpate.physics.mesh import grid_springs, laplacian
 SUBSTEPS = 8
 """Time steps of the integrator a frame."""
 MARGIN_PX = 32
-"""Width of the tissue that is integrated outside the picture [grid px]; `edge_anchor` stands for what lies farther."""
+"""Width of the tissue that is integrated outside the picture [grid px]; `edge_anchor` stands for farther tissue."""
 GRIP_RADIUS = 2.5
 """Radius of the tissue between the jaws, around the contact vertex [grid px]."""
 

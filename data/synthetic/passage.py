@@ -1,4 +1,4 @@
-"""The tool of a view that tissue fills: its way in space, what it covers, and its shadows.
+"""The tool of a view that tissue fills: its way in space, the pixels that it covers, and its shadows.
 
 A ball at its tip, a cone and a shaft, in front of the tissue in every frame. The ball touches the tissue along the line
 of sight. The tool comes and leaves along its axis or a little aside of it.

@@ -90,7 +90,7 @@ class Renderer:
 
     def _tissue_light(self, view: SheetView, region: tuple[slice, slice], lamp: np.ndarray) -> np.ndarray:
         """Linear light of the tissue over a region if a lamp at a place [3] gives all light, shape [h, w, 3]."""
-        # Smoothing and gradients need neighbours: the border of what is computed is not used.
+        # Smoothing and gradients need neighbours: the border of the computed picture is not used.
         margin = math.ceil(4 * self.scene.settings.cell[0])
         starts = [max(part.start - margin, 0) for part in region]
         inner = tuple(slice(p.start - start, p.stop - start) for p, start in zip(region, starts, strict=True))

@@ -31,7 +31,7 @@ REGIMES: tuple[Regime, ...] = get_args(Regime)
 
 @dataclass(frozen=True, kw_only=True)
 class TrueMotion:
-    """True motion of a clip's tissue, whatever its model."""
+    """True motion of a clip's tissue under any model."""
 
     onset_frame: int
     """First frame in contact, before which the tissue is at rest; the number of frames where there is none."""
@@ -173,12 +173,13 @@ def simulate_motion(
     load = (release - onset) / settings.fps + release_delay - delay
     if load <= 0:
         raise SceneError("The force ends before it starts; give a longer scene.press_seconds.")
-    after = times[onset:] - times[onset] - delay  # since the start of the force
+    since = times - times[onset] - delay
+    after, loaded = since[onset:], (since > -1e-9) & (since < load - 1e-9)
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
     window, frames, response = integrate(scene, Pressing(theta, load, shape, variation, travel), after, fine)
     field = np.zeros((settings.frames, len(window.vertices), 3), np.float32)
     field[onset:] = frames
-    way = np.clip((times - times[onset] - delay) / load, 0, 1)[:, None, None] * travel
+    way = np.clip(since / load, 0, 1)[:, None, None] * travel
     apart = np.linalg.norm(window.mesh.pixels - window.mesh.pixels[window.contact] - way, axis=2)
     touched, contact = apart.argmin(axis=1), np.zeros((settings.frames, 3))
     contact[onset:] = frames[np.arange(len(frames)), touched[onset:]]
@@ -192,7 +193,7 @@ def simulate_motion(
         touched=window.vertices[touched],
         contact=contact,
         response=response,
-        force=theta[2] * force_after(shape, times - times[onset] - delay, load),
+        force=theta[2] * np.where(loaded, force_factor(shape, since, load), 0.0),
         shape=shape,
         patch_radius=shape.radius,
         moving=window.vertices,
@@ -218,9 +219,3 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
     lean = math.tan(math.radians(tilt))
     course = {"step": (0.0, 0.0), "ramp": (load, 0.0), "hold": (rise * load, fall * load)}[settings.profile]
     return PressShape(radius, (0.0, 0.0), *course, (lean * math.cos(angle), lean * math.sin(angle)))
-
-
-def force_after(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:
-    """Return the force factor just after any times, 0 outside the load."""
-    loaded = (time > -1e-9) & (time < load - 1e-9)
-    return np.where(loaded, force_factor(shape, time, load), 0.0)

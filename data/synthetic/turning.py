@@ -12,7 +12,7 @@ from palpate.data.synthetic.scene import Scene
 
 
 class CameraTurning:
-    """Rotations of the camera over a clip, drawn for every axis; what comes into view mirrors what is at the edge."""
+    """Rotations of the camera over a clip, drawn for every axis; new parts of the picture mirror its edge."""
 
     def __init__(self, scene: Scene, generator: np.random.Generator) -> None:
         settings, camera = scene.settings, scene.camera

@@ -25,7 +25,7 @@ Floor = tuple[int, float] | None
 Longest = Callable[[np.ndarray], np.ndarray]
 """Largest length of edges around places [P, 3], shape [P], positive [m]."""
 GROWTH = 0.5
-"""Growth of edges' length by the distance from what they crowd around."""
+"""Growth of edges' length by the distance from their centre of refinement."""
 
 
 def around(places: np.ndarray, radius: float, edge: float) -> Longest:
@@ -63,7 +63,7 @@ def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple
         wanted = length[own] > longest(nodes[tetrahedra].mean(axis=1))
         if not wanted.any():
             return nodes, tetrahedra
-        while True:  # whoever stands around an edge to be halved is halved before, if not by it
+        while True:  # tetrahedra around a halved edge are halved before, if not by it
             halved = np.zeros(len(pairs), bool)
             halved[own[wanted]] = True
             around = halved[which].any(axis=1)

@@ -20,7 +20,7 @@ INSIDE = 1e-3
 
 
 class Reach(NamedTuple):
-    """Distances of what acts and what is watched from the centre of a window [springs]."""
+    """Distances of loads and watched vertices from the centre of a window [springs]."""
 
     loaded: int = 0
     """Farthest loaded vertex."""
@@ -32,7 +32,7 @@ class Reach(NamedTuple):
 
         Args:
             from_load: how far each step's influence has come from what acts, shape [T].
-            to_watched: from how far each step can still matter for what is watched, shape [T].
+            to_watched: distance from which each step can still matter for the watched vertices, shape [T].
         """
         return np.minimum(from_load + self.loaded, to_watched + self.watched)
 
@@ -62,7 +62,7 @@ def window_radii(
         damping: k_d.
         mechanics: constants; ``window_error`` is what the smaller window may neglect, ``INSIDE`` of it the larger.
         steps: T.
-        reach: of what acts and what is watched.
+        reach: distances of loads and watched vertices.
     """
     exact = exact_radii(steps, reach)
     if not (math.isfinite(stiffness) and math.isfinite(damping) and stiffness > 0):

@@ -48,7 +48,7 @@ class GridLayout(NamedTuple):
 
 
 def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: np.dtype) -> GridLayout | None:
-    """Lay out what lies within ``reach`` pixels of a vertex.
+    """Lay out the grid within ``reach`` pixels of a vertex.
 
     Args:
         mesh: the mesh.
@@ -182,7 +182,7 @@ def _net(springs, i):
 
 @inlined
 def _drift(state, displacement, velocity, value, time_step, tiny):
-    """Store a velocity and move by it; what is too small to mean anything becomes 0, because denormals are slow."""
+    """Store a velocity and move by it; values below `tiny` become 0, because denormals are slow."""
     value = tiny - tiny if abs(value) < tiny else value
     state[velocity] = value
     state[displacement] += time_step * value

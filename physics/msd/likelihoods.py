@@ -1,4 +1,4 @@
-"""Batches against what was observed: the paper's squared error.
+"""Batches against observations: the paper's squared error.
 
 Source: Bini 2026, equation 14 (the squared 2-norm of a displacement's difference), extended to several time stamps.
 """
@@ -14,7 +14,7 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
 
     Args:
         trajectory: displacement of the contact vertex, shape [B, T, 3] [scene units].
-        observation: what was observed; padding may hold anything, also NaN.
+        observation: observed motion; padding may hold anything, also NaN.
 
     Returns:
         Shape [B] [scene units²]; 0 for a sample without any observation.

@@ -105,7 +105,7 @@ def require_inside(mesh: Mesh, load: Load, watch: np.ndarray) -> None:
 def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray]:
     """Motion of the watched vertices [T, M, 3] and, where they are wanted, its derivatives by θ [T, M, 3, 3].
 
-    Grips, decimated meshes and whatever else the compiled stencil can't do run in the plain version.
+    Grips, decimated meshes and other cases without a compiled stencil run in the plain version.
     """
     if isinstance(case.load, Press):
         found = _on_grid(case, case.load, sensitive)
@@ -180,7 +180,7 @@ def _numbers(case: Case, press: Press) -> tuple:
 
 
 def _case(theta, mesh, load, mechanics, watch, dtype) -> Case:
-    """The arguments as one checked case, or a ValueError that says what is wrong."""
+    """The arguments as one checked case, or a ValueError with the reason."""
     theta = np.asarray(theta, dtype=dtype)
     if theta.shape != (3,) or not np.isfinite(theta).all():
         raise ValueError(f"theta is {theta.tolist()}; give three finite numbers k_s, k_d and F.")

@@ -65,7 +65,7 @@ class Body:
         return slice(0, volumes), slice(volumes, shapes), slice(shapes, len(self.layout.rest))
 
     def inverse_mass(self, gripped: np.ndarray) -> np.ndarray:
-        """1, the paper's masses being nowhere given, and 0 for what is pinned or gripped, shape [N].
+        """1, as the paper gives no masses, and 0 for pinned or gripped particles, shape [N].
 
         Args:
             gripped: particles, shape [G].

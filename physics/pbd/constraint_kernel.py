@@ -6,7 +6,7 @@ and Macklin 2016, as the paper doesn't say which it uses:
 distance  C = |x₁ - x₂| - ℓ₀
 volume    C = (x₂ - x₁)×(x₃ - x₁)·(x₄ - x₁)/6 - V₀
 shape     C = √(Σ |xᵢ - x̄ - R qᵢ|²), R the rotation that makes it smallest. As R and x̄ are where the sum is smallest,
-          its gradient is that with both held: it adds up to no force and to no moment, whatever the masses.
+          its gradient is that with both held: it adds up to no force and to no moment for any masses.
 
 The rotation of a shape is carried along as a quaternion: Newton's method from the last one settles it to rounding in
 two or three steps, so that it depends on where it began no more than a singular value decomposition would.
@@ -90,7 +90,7 @@ def _column(matrix, index):
 
 @inlined
 def _turned_back(rotation, matrix):
-    """Rᵀ A by columns: what is left of A besides its rotation."""
+    """Rᵀ A by columns, A without its rotation."""
     columns = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
     x, y, z = _column(rotation, 0), _column(rotation, 1), _column(rotation, 2)
     return _times(columns, x), _times(columns, y), _times(columns, z)

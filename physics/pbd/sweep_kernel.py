@@ -183,7 +183,7 @@ def sweep_adjoint(layout, weight, inverse_mass, rest, gripped, path, foundation,
     Args:
         layout … sweeps: as given to `sweep_forward`.
         turn: quaternions to begin at, [B, P, 4]; used up.
-        motion: what it wrote.
+        motion: output of the steps.
         pulls: derivatives by it, [B, T + 1, N, 3]; used up.
         slopes: out, derivatives by the weights [B, K].
     """

@@ -93,10 +93,10 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     """Run an experiment from the command line.
 
     Args:
-        kind: which.
-        arguments: of the command line; None = the program's own.
-        program: how a user calls it.
-        documentation: for `--help`.
+        kind: class of the experiment.
+        arguments: command line; None = the program's own.
+        program: name of the program.
+        documentation: text of `--help`.
 
     Returns:
         Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.
@@ -146,8 +146,8 @@ class Store:
 
     Args:
         output: the folder; made when it is not there.
-        wanted: what the results depend on, JSON-able. A later run may leave a part out or add one, but what both have
-            must be the same.
+        wanted: record of everything the results depend on, JSON-able. A later run may leave out or add
+            entries, but common ones must be equal.
         keys: fields that tell a row from all others.
 
     Raises:

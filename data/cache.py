@@ -39,7 +39,7 @@ def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] =
 
     Args:
         path: frame folder or video file.
-        settings: how it is prepared.
+        settings: settings of the preparation.
         following: frame folders that continue the first one.
 
     Raises:

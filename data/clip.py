@@ -60,8 +60,8 @@ class ClipStream:
 
         Args:
             source: the pictures.
-            settings: how to prepare them.
-            masks, depth, camera: of a clip whose own lie in no file; None = as the settings say.
+            settings: settings of the preparation.
+            masks, depth, camera: sources for a clip without such files; None = the settings' choice.
 
         Raises:
             InputError: a model, preset, camera or clip file can't be used, or the camera is of another shape.
@@ -207,7 +207,7 @@ class ClipStream:
         """Everything about a frame that needs no other frame.
 
         Args:
-            frame: of the clip.
+            frame: frame of the clip.
             shown: its label map, uint8 [H, W], or why there is none.
             depth_before: z of a frame before, which is taken for this one's, shape [h, w] [scene units]; None = its
                 own is found.
@@ -304,7 +304,7 @@ def prepare(
 
     Args:
         path: frame folder or video file.
-        settings: how to prepare it.
+        settings: settings of the preparation.
         cache_dir: folder of the cache; made where it does not exist.
         track: gives the stream's frames one by one and may count them, as a progress bar does.
         following: frame folders that carry the first one on.

@@ -30,7 +30,7 @@ def bridge_gaps(frames: Iterable[PreparedFrame], stored: bool) -> Iterator[Prepa
 
     Args:
         frames: prepared one by one, in order.
-        stored: whether depth is measured, so that equal maps are the same measurement.
+        stored: True = depth is measured, and equal maps are one measurement.
     """
     index, gaps = 0, list[PreparedFrame]()
     last: PreparedFrame | None = None

@@ -17,8 +17,8 @@ class PictureNetwork:
     Args:
         path: ONNX file.
         threads: intra-op threads, 0 = onnxruntime's choice.
-        device: where it runs, one of `palpate.common.onnx_devices.DEVICES`.
-        raw: whether the network may take 8-bit numbers, which hold no normalised picture.
+        device: one of `palpate.common.onnx_devices.DEVICES`.
+        raw: True = the network may take 8-bit numbers, which hold no normalised picture.
 
     Raises:
         InputError: no such file or device, not an ONNX model, or other inputs than one picture.

@@ -40,7 +40,7 @@ class AmortisedPosterior(LightningModule):
         contact_features: length of the contact's vector; train.py takes it from the data.
         rough_rate: largest learning rate of the first stage.
         fine_rate: largest learning rate of the other two.
-        weight_decay: of AdamW.
+        weight_decay: weight decay of AdamW.
     """
 
     EXPORTED: ClassVar[str] = "posterior.pt"

@@ -41,7 +41,7 @@ class ContactHead(PictureHead):
     """q(φ | contact, picture) for φ = (log k_s, log k_d, log |F|), and θ = (e^φ₁, e^φ₂, -e^φ₃) at its mean.
 
     Args:
-        channels, bounds: as in `PictureHead`.
+        channels, bounds: arguments of `PictureHead`.
         contact_features: length of the contact's vector.
     """
 

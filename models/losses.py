@@ -114,7 +114,7 @@ def posterior_physics_loss(
 
     Args:
         mean, factor: mean and covariance factor of the posterior of φ, shapes [B, 3] and [B, 3, 3].
-        meshes, loads, mechanics: as in `physics_loss`.
+        meshes, loads, mechanics: arguments of `physics_loss`.
         dents: observed depth of the tissue around every contact; pixels are assigned to tissue at its own mean.
         box: φ's lower and upper bounds, shape [3] each.
 

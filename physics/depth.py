@@ -91,11 +91,11 @@ class DepthLikelihood:
         mesh, vertex: tissue at rest, and the contact.
         sequence: one frame or more.
         noise: σ of every pixel in every frame [scene units]; None = as the sequence says.
-        reach, parts: as in `Patches`.
-        partial: as PARTIAL.
+        reach, parts: arguments of `Patches`.
+        partial: value in place of PARTIAL.
         astray: standard deviation of a whole frame's lateral shift by axis, in grids coarser than the picture [grid
             pixels]. Half of the variance is the same in all frames.
-        uneven: that of the depth of dents, as a share, likewise.
+        uneven: standard deviation of the depth of dents, as a share, half of its variance likewise.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class DepthLikelihood:
         Args:
             moved, slopes: displacements [N, V, 3] and their derivatives [N, V, 3, D].
             logs: parameters of that motion, shape [D]; None = no other motion is compared.
-            outliers: whether pixels that lie far from that motion count less from now on.
+            outliers: True = pixels far from that motion count less from now on.
         """
         change, total = self.see(moved), self.noise.total
         self._turning, self._looked_at = self.patches.turning(moved, slopes), logs

@@ -46,7 +46,7 @@ class Likelihood(LeastSquares):
 
     Args:
         mesh: tissue at rest.
-        load: what presses on it, over the instants of the observation at least.
+        load: press on the mesh, over the instants of the observation at least.
         observation: observed motion; instants are compared at the nearest step.
         mechanics: constants of the simulator.
         dtype: float32 or float64, the precision of the simulation.

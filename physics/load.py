@@ -55,7 +55,7 @@ class Press:
             mesh, vertex: vertex of a mesh.
             offset: rows and columns from it to the place [grid pixels].
             radius: R [grid pixels]. Where no vertex is so near, the nearest one bears the whole force.
-            direction, factor: as in `Press`.
+            direction, factor: direction and factor of the `Press`.
 
         Raises:
             ValueError: the radius is not positive.
@@ -180,10 +180,10 @@ class PressShape:
         """The load of this shape.
 
         Args:
-            mesh, vertex: as in `Press.on_patch`.
-            normal: of the surface, shape [3].
+            mesh, vertex: arguments of `Press.on_patch`.
+            normal: normal of the surface, shape [3].
             seconds: time under load; infinite where it does not end.
-            time_step, steps: of the simulation [s].
+            time_step, steps: time step [s] and number of steps of the simulation.
         """
         direction, factor = self.leaning(normal), self.factor(seconds, time_step, steps)
         if not self.radius:

@@ -91,7 +91,7 @@ def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[n
     """Simplex that holds each point, or else is the least way off, and where in it that is.
 
     Args:
-        corners: of triangles in a plane or of tetrahedra, shape [F, D + 1, D]; none is flat.
+        corners: corners of triangles in a plane or of tetrahedra, shape [F, D + 1, D]; none is flat.
         points: shape [P, D].
         candidates: number of simplices compared, those whose centres are closest.
 
@@ -126,8 +126,8 @@ def laplacian(springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray) ->
 
     Args:
         springs: node indices, shape [S, 2].
-        stiffness: of each, shape [S].
-        anchor: of every node's foundation, shape [N].
+        stiffness: stiffness of each spring, shape [S].
+        anchor: stiffness of every node's foundation, shape [N].
     """
     (one, two), number = springs.T, np.arange(len(anchor) + 1)
     ties = coo_array((np.tile(stiffness, 2), (np.r_[one, two], np.r_[two, one])), (len(anchor), len(anchor))).tocsr()

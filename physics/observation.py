@@ -36,7 +36,7 @@ class CommonErrors:
     """Normal errors that values share besides independent ones of variance 1.
 
     Args:
-        columns: what a standard deviation of each of M errors adds to K values, shape [..., K, M].
+        columns: change of K values by a standard deviation of each of M errors, shape [..., K, M].
     """
 
     def __init__(self, columns: np.ndarray) -> None:

@@ -27,7 +27,7 @@ class Patches:
         vertex: the contact.
         size: width and height of the picture that was brought to the mesh's grid [px].
         reach: rows and columns from the contact.
-        parts: of a pixel of a larger picture along an axis that may each show another patch.
+        parts: number of parts of a larger picture's pixel along an axis that may each show another patch.
     """
 
     def __init__(self, mesh: Mesh, vertex: int, size: tuple[int, int], reach: int = REACH, parts: int = 1) -> None:
@@ -96,7 +96,7 @@ class Patches:
         A patch that shifts along sloping tissue changes it as well.
 
         Args:
-            moved: of all patches or, with their places among the V, of some.
+            moved: displacements of all patches or, with their places among the V, of some.
             some: these places.
         """
         (across, down, away), pull = np.moveaxis(moved, -1, 0), self._pull[some]
@@ -168,7 +168,7 @@ class Patches:
 
         Args:
             moved: displacements [N, V, 3].
-            covering: as in `covering`, at that motion.
+            covering: output of `covering` at that motion.
 
         Returns:
             Changes of every pixel's depth, shape [P, N, 2]; none where a pixel of the grid is one of the picture.
@@ -216,8 +216,8 @@ def footprint(cells: np.ndarray, count: int, pixels: int, parts: int = 1) -> tup
     Args:
         cells: indices, shape [C].
         count: cells of the grid.
-        pixels: of the picture.
-        parts: of each of these, where a cell has more than one.
+        pixels: number of pixels of the picture.
+        parts: number of parts of each pixel, if a cell has more than one.
 
     Returns:
         Middles of the pixels in the grid [grid pixels]: those of an area average, as `data.depth.normalise` shrinks.

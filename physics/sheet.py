@@ -38,9 +38,9 @@ def equilibrium(
 
     Args:
         springs: node indices, shape [S, 2].
-        stiffness: of every spring, shape [S], positive.
+        stiffness: stiffness of every spring, shape [S], positive.
         anchor: stiffness of every node's foundation, shape [N], positive.
-        gripped: which nodes are held, shape [N], bool; some but not all.
+        gripped: mask of the held nodes, shape [N]; some but not all.
         motion: their displacement, shape [G, A], finite.
 
     Raises:

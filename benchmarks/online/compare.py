@@ -50,7 +50,7 @@ def run_case(
         match: observations: chamfer (the cloud), tracks or both. A cloud alone doesn't show
             tissue that slides within its surface.
         every: frames from one prediction to the next.
-        optimizer: of PBD-RM-ON; Gauss–Newton always uses tracks.
+        optimizer: optimizer of PBD-RM-ON; Gauss–Newton always uses tracks.
 
     Returns:
         Measures by name; T frames, J frames from which is predicted. `chamfer`: distance of the state to the cloud, the

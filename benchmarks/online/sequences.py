@@ -96,8 +96,8 @@ class Sequence:
 
         Args:
             particles: about how many the estimator has.
-            points: of a cloud.
-            frames: how many of the sequence, from its beginning.
+            points: number of points of a cloud.
+            frames: number of frames from the beginning.
         """
         path = self.way(np.arange(1, frames + 1) / self.frames)
         states = (_block_states if self.block else _sheet_states)(path, self.stiff)
@@ -200,9 +200,9 @@ def _block_states(
     """States of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work.
 
     Args:
-        path: of the gripper, shape [T, 3] [m].
-        stiff: which places are.
-        young: of the soft part; only ν and E over the drag count for where it is [Pa].
+        path: displacement of the gripper, shape [T, 3] [m].
+        stiff: mask of stiff places, as in `Sequence`.
+        young: Young's modulus of the soft part; the motion depends only on ν and E over the drag [Pa].
         count: steps a frame.
     """
     nodes, tetrahedra = box(BLOCK, FINE_CELLS)

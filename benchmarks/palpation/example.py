@@ -32,7 +32,7 @@ def scene_files(surface: tuple[np.ndarray, np.ndarray], observed: Palpation, hel
     Args:
         surface: at rest, vertices [V, 3] [m] and triangles [F, 3].
         observed: the only palpation.
-        held_below: as `SceneFile.held_below` [m].
+        held_below: height below which the body is held [m].
         cells: number of the fit's cells along the longest side.
     """
     palpation = {name: getattr(observed, name).tolist() for name in ("force", "contact", "pose")}

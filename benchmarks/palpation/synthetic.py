@@ -49,7 +49,7 @@ class Body:
 
         Args:
             cells: number of the mesh's cells along the longest side.
-            spacing: of the surface's vertices [m].
+            spacing: distance of the surface's vertices [m].
             longest: longest edges, as `refine` takes it.
         """
         vertices, triangles = self.surface(spacing)
@@ -108,7 +108,7 @@ def press(
     Args:
         body: pressed body, of YOUNG and POISSON.
         force: norm of the force [N].
-        place: as `Body.contact` takes it.
+        place: arguments of `Body.contact`.
         cells: number of its mesh's cells along the longest side.
         law: one of `physics.fem.LAWS`.
         spacing: distance of the surface's vertices; None = a 26th of the body's size [m].

@@ -73,7 +73,7 @@ def suite_clip_seed(split: str, seed: int, index: int) -> int:
 
     Args:
         split: training, validation or test.
-        seed: of the benchmark, 0 to 2³² - 1.
+        seed: seed of the benchmark, 0 to 2³² - 1.
         index: number of the clip in its split.
     """
     # The first number tells these streams from any other use of the same seed, such as `data.synthetic.clip.clip_seed`.

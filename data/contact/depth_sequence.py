@@ -32,7 +32,7 @@ class SequenceRecorder:
         mesh: tissue at rest.
         vertex: the contact.
         noise: standard deviation of the depth about the smoothed tissue [scene units].
-        size: as in `DepthSequence`.
+        size: picture's width and height [px].
     """
 
     def __init__(self, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int]) -> None:

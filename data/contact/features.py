@@ -45,7 +45,7 @@ def contact_features(contact: Interaction, surroundings: Surroundings | None = N
 
     Args:
         contact: with its noise, which must be known.
-        surroundings: of the contact where they are known already.
+        surroundings: known surroundings of the contact.
     """
     around = contact_surroundings(contact) if surroundings is None else surroundings
     times = contact.observation.times
@@ -72,10 +72,10 @@ def join_features(
 
     Args:
         along: motion against the force's direction over the spacing, shape [B, SLOTS].
-        known, loaded: whether an instant was observed, and was under load, shapes [B, SLOTS].
+        known, loaded: 1 for observed instants, and for those under load, shapes [B, SLOTS].
         around: `Surroundings.vector`, shape [B, 40].
-        spacing: of the meshes, shape [B] [scene units].
-        noise: of every observed coordinate, shape [B] [scene units].
+        spacing: spacing of the meshes, shape [B] [scene units].
+        noise: σ of every observed coordinate, shape [B] [scene units].
     """
     relative = (noise / spacing)[:, None]
     along = along * known

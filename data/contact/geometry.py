@@ -216,7 +216,7 @@ def smooth_rest(
     """The tissue at rest, smoothed as the settings say, and the noise as in `FrameGeometry`.
 
     Args:
-        depth, labels: of a frame, as in `frame_geometry`.
+        depth, labels: depth and labels of a frame, as in `frame_geometry`.
         settings: `smoothing` counts.
         rest: the tissue at rest; None = as it is visible.
     """
@@ -236,7 +236,7 @@ def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySetting
         sheet: the tissue's points on the grid, shape [h, w, 3] [scene units].
         labels: label map, shape [h, w].
         settings: `max_edge` and `keep` count.
-        rest: where tissue is known.
+        rest: known tissue.
 
     Raises:
         GeometryStatus: `bad_depth` where no triangle is left.

@@ -39,7 +39,7 @@ class ContactMotion:
             camera: intrinsics of the grid.
             size: (width, height) of the full picture [px].
             settings: geometry, `bridge_frames` and `track_seconds` count.
-            from_shading: whether depth is the shape by shading.
+            from_shading: True = depth is the shape by shading.
         """
         # Surfaces from shading are smooth, and change from one picture to the next (docs/reports/video.md).
         self._least_noise = 0.02 if from_shading else LEAST_NOISE

@@ -90,8 +90,8 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
 
     Args:
         changes: shape [frames, P] [scene units]; not a number where a vertex wasn't visible.
-        needed: what a single change must exceed, shape [P]; the mean of n less by √n.
-        share: of the frames in which the mask shows the vertex as tissue, shape [P].
+        needed: limit of a single change, shape [P]; that of a mean of n changes is smaller by √n.
+        share: share of frames in which the mask shows the vertex as tissue, shape [P].
         noise: standard deviation of a change.
     """
     count = np.isfinite(changes).sum(axis=0)

@@ -100,7 +100,7 @@ def dent_features(contact: Interaction, within: float) -> np.ndarray:
 
     Args:
         contact: with or without a depth-change sequence.
-        within: as in `sequence_features`.
+        within: uncertainty of the instants [s], as in `sequence_features`.
     """
     sequence, noise = contact.sequence, network_noise(contact)
     shown = contact.having(point=contact.observation.moved(motion_in_sequence(contact), noise))
@@ -113,8 +113,8 @@ def sequence_features(sequence: DepthSequence | None, spacing: float, noise: flo
 
     Args:
         sequence: depth-change sequence of a contact; None where it has none.
-        spacing: of its mesh [scene units].
-        noise: of every pixel [scene units].
+        spacing: spacing of the mesh [scene units].
+        noise: σ of every pixel [scene units].
         within: the press began, and ended, at most so long before or after the time stamps [s].
     """
     amounts, present = np.zeros((SLOTS, SHAPES)), False
@@ -139,10 +139,10 @@ def join_sequence_features(
     """Vectors of many depth-change sequences, shape [B, SEQUENCE_FEATURES], float32.
 
     Args:
-        amounts: of the shapes at every slot, 0 where not visible, shape [B, SLOTS, SHAPES] [scene units].
+        amounts: amounts of the shapes at every slot, 0 where not visible, shape [B, SLOTS, SHAPES] [scene units].
         spacing, noise: shapes [B] [scene units].
-        within: of the instants, shape [B] [s].
-        present: whether there is a depth-change sequence, shape [B], bool.
+        within: uncertainty of the instants, shape [B] [s].
+        present: mask of contacts with a depth-change sequence, shape [B].
     """
     relative = amounts * present[:, None, None] / spacing[:, None, None]
     scaled = np.arcsinh(relative / (2 * (noise / spacing)[:, None, None])) / 5

@@ -98,9 +98,9 @@ def shaft_depth(planes: Sequence[np.ndarray], radius: float, rays: np.ndarray, *
 
     Args:
         planes: normals of the planes that touch it, out of it, shape [3] each.
-        radius: of the cylinder, in any unit.
+        radius: radius of the cylinder, in any unit.
         rays: (x, y, 1), shape [P, 3].
-        axis: of its axis, where that is nearest to the ray; else of its surface.
+        axis: True = depth of the axis where it is nearest to the ray; False = of the surface.
 
     Returns:
         Shape [P], in the radius's unit; not a number where the ray passes by.
@@ -125,7 +125,7 @@ class ShaftRuler:
     """Gathers estimates of the length of a scene unit from the frames of a clip.
 
     Args:
-        diameter: of the shaft [m].
+        diameter: diameter of the shaft [m].
         clip: the clip.
     """
 

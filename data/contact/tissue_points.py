@@ -63,7 +63,7 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
     the median: a deforming part does not count as camera motion.
 
     Args:
-        before, after: the same points in two frames, shape [P, 3] [scene units]; rows that are not finite are ignored.
+        before, after: points in two frames, shape [P, 3] [scene units]; rows that are not finite are ignored.
         at: the point, shape [3] [scene units].
 
     Returns:

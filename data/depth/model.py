@@ -106,7 +106,7 @@ class DepthModel:
             path: ONNX file.
             preset: conventions of the network.
             threads: intra-op threads, 0 = onnxruntime's choice.
-            device: where it runs, one of `palpate.common.onnx_devices.DEVICES`.
+            device: one of `palpate.common.onnx_devices.DEVICES`.
 
         Raises:
             InputError: not an ONNX model, other inputs or outputs than the preset states, or no such device.

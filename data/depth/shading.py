@@ -20,7 +20,7 @@ def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.nda
     """Depth from shading as a tilted plane, curved by the smooth residual over the whole organ.
 
     Args:
-        depth: of the photometric model, I^-½·cos^1.5 of the ray's angle, shape [h, w], 0 = invalid.
+        depth: depth of the photometric model, I^-½·cos^1.5 of the ray's angle, shape [h, w], 0 = invalid.
         tissue: mask of tissue, shape [h, w] bool.
         camera: intrinsics of the grid.
 

@@ -181,7 +181,7 @@ def check_map(values: np.ndarray, named: str, *, signed: bool) -> None:
     Args:
         values: shape [H, W].
         named: subject of the message.
-        signed: whether 0 and negative values are valid.
+        signed: True = 0 and negative values are valid.
 
     Raises:
         InputError: nothing finite, zero or constant everywhere, or under 1 % valid.

@@ -28,7 +28,7 @@ class AutomaticMasks:
     Args:
         path: the network; by default the one that ships.
         every: number of frames of which the network runs in one; in between its probability moves along the flow.
-        threads, device: as in `PictureNetwork`.
+        threads, device: CPU threads and device, as in `PictureNetwork`.
     """
 
     def __init__(self, path: Path = WEIGHTS, *, every: int = 1, threads: int = 0, device: str = "cpu") -> None:
@@ -97,7 +97,7 @@ def instrument_parts(probability: np.ndarray, view: np.ndarray, before: np.ndarr
     the view.
 
     Args:
-        probability: of an instrument, [h, w].
+        probability: probability of an instrument, [h, w].
         view: the endoscope's view, bool [h, w], convex.
         before: the probability in the frame before, moved to this one's.
     """

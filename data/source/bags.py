@@ -48,7 +48,7 @@ def topic_of(path: Path, topic: str | None, kinds: Sequence[str] = IMAGES, setti
     """A topic of a bag that holds messages of some types: the one that is named, else the only one.
 
     Args:
-        setting: that names it, for the error message.
+        setting: name of the layout's setting, for the error message.
 
     Raises:
         InputError: the bag can't be read, or holds no such topic, or several and none is named.
@@ -82,7 +82,7 @@ def time_stamps(messages: Iterable[tuple[int, Any]], named: str) -> np.ndarray:
     """Time stamps of messages, int64, shape [N] [ns]: their headers', on whose clock are those without one.
 
     Args:
-        messages: as in `read_topic`.
+        messages: messages of a topic, as `read_topic` yields them.
         named: begins the error message.
 
     Raises:

@@ -139,7 +139,7 @@ def load_camera(path: str | Path, *, stated: bool = False) -> Rig:
     """Camera from a YAML or JSON file, at its top level or under `camera`, or of a program of `camera_formats`.
 
     Args:
-        stated: whether the file must tell the size of its pictures.
+        stated: True = the file must tell the size of its pictures.
 
     Raises:
         InputError: the file is missing, not YAML or JSON, or not a camera.
@@ -215,9 +215,9 @@ class Undistortion:
     """Removes a camera's lens distortion from pictures, label maps and depth maps of one size.
 
     Args:
-        camera: of those pictures.
+        camera: camera of those pictures.
         turn: rotation into the axes of the camera without distortion, shape [3, 3]; None = as it stands.
-        seen: that camera's intrinsics, or projection, shape [3, 3] or [3, 4]; None = they stay as they are.
+        seen: intrinsics or projection of the new pictures, shape [3, 3] or [3, 4]; None = the camera's.
     """
 
     def __init__(self, camera: Camera, turn: np.ndarray | None = None, seen: np.ndarray | None = None) -> None:

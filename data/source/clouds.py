@@ -17,7 +17,7 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
 
     Args:
         path: the file.
-        shape: of a point, or of all that is known of one.
+        shape: shape of a point, or of all its numbers.
 
     Returns:
         Shape [m, *shape], float64, in the file's own unit; not seen = NaN. A cloud may be all NaN, or m = 0.

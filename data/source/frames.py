@@ -128,7 +128,7 @@ class FrameFolder(Pictures):
         """
         Args:
             path: folder of the clip's images.
-            layout: how the files are named.
+            layout: names of the files.
             following: folders that continue the clip, in order.
 
         Raises:

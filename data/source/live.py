@@ -21,11 +21,11 @@ class LiveSource(FrameSource):
     """Pictures as they come; another iteration goes on with the pictures of then.
 
     Args:
-        name: of the source, for messages.
+        name: name of the source, for messages.
         pictures: RGB uint8 [H, W, 3], taken in a thread of their own.
         fps: frames a second.
-        max_latency: of a picture when it is taken; older ones are dropped [s].
-        clocked: whether a picture's time is when it came; otherwise pictures are one frame apart.
+        max_latency: largest age of a picture when it is taken; older ones are dropped [s].
+        clocked: True = times are those of arrival; False = pictures are one frame apart.
 
     Raises:
         InputError: no picture comes at all, or one of an unusable size.
@@ -118,7 +118,7 @@ def open_live(
 
     Args:
         where: a camera's number, the address of a stream, a video file (played at its own rate), or `-` for the pipe.
-        max_latency: as in `LiveSource` [s].
+        max_latency: largest age of a picture [s], as in `LiveSource`.
         size: width and height of the pipe's pictures [px].
         fps: frames a second; None = the source's own, of a pipe 25.
         pipe: RGB pictures, 3 bytes a pixel, one after the other.

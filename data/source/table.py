@@ -58,8 +58,8 @@ def read_series(path: Path, columns: Sequence[str], what: str, least: int) -> np
     """Columns of a table over time, of which the first rises, shape [rows, columns]; all values are finite.
 
     Args:
-        columns: as in `read_columns`.
-        what: as in `read_columns`.
+        columns: names of the columns.
+        what: expected kind of table, for the error message.
         least: smallest number of rows.
 
     Raises:

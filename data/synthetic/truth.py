@@ -162,7 +162,7 @@ def simulate_motion(
         release: first frame after contact.
         variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
         delay, release_delay: from those frames' time stamps to the force's start and end, at most a frame interval [s].
-        shape: of the press.
+        shape: shape of the press.
         travel: rows and columns by which the patch moves under load, shape [2] [grid px].
 
     Raises:

@@ -38,7 +38,7 @@ def background_motion(places: np.ndarray, step: np.ndarray) -> Background | None
     """Affine motion of most of some points, by least squares without those far off; None where they are too few.
 
     Args:
-        places: of the points in the first picture, shape [N, 2] (column, row) [px].
+        places: places of the points in the first picture, shape [N, 2] (column, row) [px].
         step: their displacements, shape [N, 2] [px].
     """
     if len(places) < 30:

@@ -128,7 +128,7 @@ class PointFollower:
 
     Args:
         shown: the first picture.
-        spacing: of the points [px].
+        spacing: distance of the points [px].
     """
 
     def __init__(self, shown: Shown, spacing: int = SPACING) -> None:

@@ -66,9 +66,9 @@ class Linker:
     """Links pictures, two of one size at a time.
 
     Args:
-        grid: which places of a grid are linked, bool [rows, columns], N of them; None = the places are on no grid, and
+        grid: mask of a grid's N linked places [rows, columns]; None = the places are on no grid, and
             their motion is not filtered.
-        spacing: of the grid [px]; infinite where windows are small against it.
+        spacing: spacing of the grid [px]; infinite where windows are small against it.
     """
 
     def __init__(self, grid: np.ndarray | None = None, spacing: float = np.inf) -> None:
@@ -101,8 +101,8 @@ class Linker:
         Args:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
-            counted: which of them count for their neighbours' motion, bool [N]; None = all.
-            apart: which are away from an instrument's edge, bool [N]; those there count only for one another.
+            counted: mask of places that count for their neighbours' motion [N]; None = all.
+            apart: mask of places away from an instrument's edge [N]; those at it count only for one another.
         """
         if not len(places):
             return _no_links()
@@ -122,8 +122,8 @@ class Linker:
         Args:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
-            motion: of the whole grid, whose first place is a spacing from both edges, shape [rows, columns, 2] [px].
-            apart: as for `link`.
+            motion: motion of the grid, whose first place is a spacing from both edges, shape [rows, columns, 2] [px].
+            apart: mask as in `link`.
         """
         if not len(places):
             return _no_links()

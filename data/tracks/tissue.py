@@ -92,7 +92,7 @@ class TissueTemplate:
         """
         Args:
             picture: uint8, shape [H, W].
-            usable: where it shows tissue away from the tool, shape [H, W].
+            usable: mask of tissue away from the tool, shape [H, W].
             point: (u, v) [px].
         """
         self._offset = point - np.rint(point)
@@ -127,7 +127,7 @@ def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usab
 
     Args:
         patch, known: grey values and usable pixels of the patch, shape [2R+1, 2R+1].
-        picture, usable: the same of the picture, shape [S, S].
+        picture, usable: pattern and mask of the picture, shape [S, S].
 
     Returns:
         Shape [S-2R, S-2R]; -1 where too few pixels are usable.

@@ -38,7 +38,7 @@ class InstrumentSegmentation(LightningModule):
 
     Args:
         learning_rate: peak, reached after a fiftieth of the steps; it falls to 0 as a cosine.
-        weight_decay: of AdamW.
+        weight_decay: weight decay of AdamW.
         edge_weight: weight of pixels within 2 px of an instrument's edge over that of others.
         average: decay a step of the moving average of weights, which is validated and exported.
         encoder_rate: learning rate of the encoder's later stages as a share of the others'.

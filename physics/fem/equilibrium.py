@@ -136,9 +136,9 @@ def find_equilibrium(
 
     Args:
         solid: the body.
-        material: of which it is.
-        held: which components are prescribed, shape [N, 3], bool; enough of them that it can't float away.
-        motion: where those are, from rest, shape [N, 3] [m]; the others' entries don't count; None = at rest.
+        material: material of the body.
+        held: mask of the prescribed components, shape [N, 3]; enough to keep the body in place.
+        motion: their displacement, shape [N, 3] [m], other entries don't count; None = at rest.
         forces: on the nodes, shape [N, 3] [N]; None = none.
         start: displacement to begin at, shape [N, 3] [m]; None = rest.
         near: `Equilibrium.solver` of a state close by with the same components held, which saves time and changes
@@ -256,8 +256,8 @@ def _downhill(right: np.ndarray, solver: LinearSystem, accuracy: float) -> tuple
 
     Args:
         right: forces out of balance, shape [U].
-        solver: of the matrix of the free components.
-        accuracy: as in `LinearSystem.solve`.
+        solver: solver of the matrix of the free components.
+        accuracy: tolerance of `LinearSystem.solve`.
 
     Raises:
         NoEquilibrium: the matrix is singular.

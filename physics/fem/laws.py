@@ -107,8 +107,8 @@ def respond(law: str, gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, *, 
         law: one of `LAWS`.
         gradient: F, shape [..., 3, 3].
         mu: shear modulus, of a shape that broadcasts to [...] [unit of stress].
-        lam: Lamé's first constant, likewise.
-        tangent: whether it is wanted.
+        lam: Lamé's first constant, of such a shape [unit of stress].
+        tangent: True = with the tangent.
     """
     one = np.ones(gradient.shape[:-2])
     return _LAWS[law](gradient, mu * one, lam * one, tangent)

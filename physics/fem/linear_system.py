@@ -19,7 +19,7 @@ class LinearSystem:
     """A symmetric matrix to be solved with, shape [U, U].
 
     Args:
-        matrix: of the system.
+        matrix: matrix of the system.
         near: a system much like it, as in the Newton step or the frame before: factors that it has, or was given,
             precondition this one.
     """
@@ -39,7 +39,7 @@ class LinearSystem:
 
         Args:
             right: any of them may be zero.
-            tolerance: of the residual's norm, over that of the right-hand side; a factorisation does better.
+            tolerance: largest norm of the residual over that of the right-hand side; a factorisation does better.
 
         Raises:
             RuntimeError: the matrix is singular: nothing holds the body.

@@ -32,9 +32,9 @@ def around(places: np.ndarray, radius: float, edge: float) -> Longest:
     """Edges that crowd where an instrument presses.
 
     Args:
-        places: where, shape [K, 3] [m].
-        radius: within which edges are at most
-        edge: so long, and farther off by GROWTH longer [m].
+        places: centres of the refinement, shape [K, 3] [m].
+        radius: radius within which edges have their smallest length [m].
+        edge: smallest length, which grows by GROWTH farther off [m].
     """
     return lambda there: edge + GROWTH * np.maximum(KDTree(places).query(there)[0] - radius, 0.0)
 
@@ -45,7 +45,7 @@ def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple
     Args:
         nodes: shape [N, 3] [m].
         tetrahedra: corners, shape [E, 4], of positive volume.
-        longest: how long edges may be, given at the elements' middle.
+        longest: largest length of edges by the elements' middle.
 
     Returns:
         nodes, those given first; corners of the tetrahedra, of positive volume.
@@ -85,7 +85,7 @@ def fill_cells(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and tetrahedra of some cells of a grid.
 
     Args:
-        inside: which cells, shape [I, J, K], bool.
+        inside: mask of cells, shape [I, J, K].
 
     Returns:
         the nodes' grid coordinates, shape [N, 3], int64; corners of the tetrahedra, shape [5·cells, 4].
@@ -103,7 +103,7 @@ def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tup
     """A block from the origin on.
 
     Args:
-        lengths: of its sides [m].
+        lengths: lengths of the sides [m].
         cells: along them.
 
     Returns:
@@ -140,7 +140,7 @@ def mesh_surface(
         vertices: shape [V, 3] [m].
         triangles: indices of their corners, shape [F, 3]; in any order, with holes or edges of more than two
             triangles. Where closed parts overlap counts as outside.
-        cells: of the grid along the surface's longest side.
+        cells: number of the grid's cells along the surface's longest side.
         floor: axis, and the place on it below which the body is cut off, as where it is held. Nodes lie on that plane
             whatever the grid.
         longest: largest length of edges, as in `refine`, once all nodes are drawn onto the surface; elements that keep

@@ -31,7 +31,7 @@ class Reach(NamedTuple):
         """Radii within which each step must be computed, shape [T].
 
         Args:
-            from_load: how far each step's influence has come from what acts, shape [T].
+            from_load: distance from the load that each step's influence has reached, shape [T].
             to_watched: distance from which each step can still matter for the watched vertices, shape [T].
         """
         return np.minimum(from_load + self.loaded, to_watched + self.watched)

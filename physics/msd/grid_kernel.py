@@ -318,7 +318,7 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
 
     Args:
         pitch: row length of the layout.
-        sensitive: whether ∂/∂(k_s, k_d, F) is carried along.
+        sensitive: True = ∂/∂(k_s, k_d, F) is carried along.
     """
     planes, sums = (SENSITIVITY_PLANES, 12) if sensitive else (FORWARD_PLANES, 3)
     # From a tuple they are plain values to numba, which would compile the parts anew for each; LLVM sees constants.
@@ -330,7 +330,7 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
 
         Args:
             layout: a `GridLayout`.
-            radii: how far from the centre each step is computed, [T].
+            radii: distance from the centre up to which each step is computed, [T].
             load: share of F in each step, [T]; places of pressed vertices, [P]; weight·direction of each, [P, 3].
             watched: places of vertices, [M].
             force: F.

@@ -91,9 +91,9 @@ def steps(
     Args:
         theta: k_s, k_d and signed F, shape [3], floating point; F means nothing under a grip.
         mesh: the mesh at rest.
-        load: what acts on it; one step for each of its own.
+        load: load on the mesh; its steps are the simulation's.
         mechanics: constants.
-        sensitive: whether the derivatives by θ are carried along; else they stay 0.
+        sensitive: True = the derivatives by θ are carried along; False = they stay 0.
     """
     dtype = theta.dtype
     stiffness, damping, force = theta

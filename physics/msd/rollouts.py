@@ -28,7 +28,7 @@ def rollout(
     Args:
         theta: k_s, k_d and signed F, shape [B, 3] [normalised]; computed in its precision, float32 at least.
         meshes: B meshes at rest.
-        loads: what acts on each; their number of steps T is the rollout's.
+        loads: load on each mesh; their number of steps T is the rollout's.
         mechanics: constants.
         watch: M vertices of each mesh, shape [B, M], int64; none = the contact vertex.
 

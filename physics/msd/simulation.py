@@ -28,7 +28,7 @@ def simulate(
     Args:
         theta: k_s, k_d and signed F, shape [3] [normalised]; F means nothing under a grip.
         mesh: the mesh at rest.
-        load: what acts on it; its number of steps T is the simulation's.
+        load: load on the mesh; its number of steps T is the simulation's.
         mechanics: constants.
         watch: vertices, shape [M]; None = the load's first one.
         dtype: float32 or float64, the precision of the computation.

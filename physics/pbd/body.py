@@ -91,8 +91,8 @@ def make_body(
     Args:
         rest: positions at rest, shape [N, 3] [m].
         faces: triangles of a sheet, or of a body's surface, shape [F, 3].
-        tetrahedra: of a body, shape [V, 4]; None = a sheet.
-        pinned: which particles never move, shape [N], bool; None = none.
+        tetrahedra: tetrahedra of a volume, shape [V, 4]; None = a sheet.
+        pinned: mask of particles that never move, shape [N]; None = none.
 
     Raises:
         ValueError: shapes that don't fit, indices of no particle, numbers that are not finite, edges of zero.

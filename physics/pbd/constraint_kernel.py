@@ -228,7 +228,7 @@ def met(layout, points, turn, index, slope):
         layout: a `Layout`.
         points: [N, 3].
         turn: quaternions of the shapes to begin at, [P, 4]; out: those found.
-        index: of the constraint.
+        index: number of the constraint.
         slope: out, its gradient by each member, [M, 3].
     """
     starts, members, rest, offsets, firsts = layout
@@ -242,9 +242,9 @@ def bent(layout, index, quaternion, left, slope, value, along, out):
     """Change of the gradient of a volume or a shape by each member, [M, 3], where members move by `along` [M, 3].
 
     Args:
-        layout, index: as in `met`.
-        quaternion: of the shape's rotation R.
-        left: what `met` gave: sides of a volume, Rᵀ A of a shape.
+        layout, index: arguments of `met`.
+        quaternion: quaternion of the shape's rotation R.
+        left: output of `met`: sides of a volume, Rᵀ A of a shape.
         slope: its gradient by each member, [M, 3].
         value: its C.
         along: direction of each member, [M, 3].

@@ -80,7 +80,7 @@ class Patches:
         return np.stack(slopes, axis=-1)
 
     def _dense(self, values: np.ndarray) -> np.ndarray:
-        """Values [N, V, ...] on the square of pixels around the contact, not a number where there is no vertex."""
+        """Values [N, V, ...] on the square of pixels around the contact, NaN where there is no vertex."""
         dense = np.full((len(values), self._size, self._size, *values.shape[2:]), np.nan)
         dense[:, self._cells[0], self._cells[1]] = values
         return dense
@@ -259,7 +259,7 @@ def bilinear(values, top, left, down, right, channel):
 def between(values, place):
     """Values on the square [N, S, S, C] at places (row, column) in every frame [N, Q, 2], bilinear, shape [N, Q, C].
 
-    Beyond the square's ends those at the ends; not a number at places, and next to values, that aren't one.
+    Beyond the square's ends those at the ends; NaN at places that are NaN, and next to such values.
     """
     found = np.empty((place.shape[0], place.shape[1], values.shape[3]))
     last = values.shape[1] - 1.0
@@ -278,7 +278,7 @@ def between(values, place):
 
 @kernel
 def _settled(shift, samples):
-    """Places at rest of what samples show, shape [N, Q, 2]; not a number in folds, and out of sight.
+    """Places at rest of what samples show, shape [N, Q, 2]; NaN in folds, and out of sight.
 
     Args:
         shift: on the square, by rows and columns, shape [N, S, S, 2].

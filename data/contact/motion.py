@@ -180,7 +180,7 @@ class ContactMotion:
         return max(smooth_surface(onset.depth, tissue, self.settings.smoothing)[1], self._least_noise)
 
     def _follow_contact(self, source: PreparedFrame, target: PreparedFrame) -> np.ndarray:
-        """Motion of the source's contact point to the target, shape [3]; not a number where it can't be followed."""
+        """Motion of the source's contact point to the target, shape [3]; NaN where it can't be tracked."""
         if not source.in_contact:
             return np.full(3, math.nan)
         pixel = picture_pixel(source, self.size)

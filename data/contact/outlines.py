@@ -32,7 +32,7 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.
         labels: label map, shape [h, w].
-        noise: standard deviation of the depth [scene units]; not a number leaves the labels as they are.
+        noise: standard deviation of the depth [scene units]; NaN leaves the labels as they are.
     """
     if not noise > 0:
         return labels

@@ -89,7 +89,7 @@ def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: 
     the pressing tool goes as deep.
 
     Args:
-        changes: shape [frames, P] [scene units]; not a number where a vertex wasn't visible.
+        changes: shape [frames, P] [scene units]; NaN where a vertex wasn't visible.
         needed: limit of a single change, shape [P]; that of a mean of n changes is smaller by √n.
         share: share of frames in which the mask shows the vertex as tissue, shape [P].
         noise: standard deviation of a change.

@@ -58,7 +58,7 @@ def shape_amounts(change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Amounts of the shapes in a depth-change sequence by least squares, and their error propagation.
 
     Args:
-        change: shape [N, P]; not a number where nothing is visible.
+        change: shape [N, P]; NaN where nothing is visible.
 
     Returns:
         Amounts, shape [N, SHAPES]; and factors L of their covariances L·Lᵀ for independent errors of variance 1,

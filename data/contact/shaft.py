@@ -103,7 +103,7 @@ def shaft_depth(planes: Sequence[np.ndarray], radius: float, rays: np.ndarray, *
         axis: True = depth of the axis where it is nearest to the ray; False = of the surface.
 
     Returns:
-        Shape [P], in the radius's unit; not a number where the ray passes by.
+        Shape [P], in the radius's unit; NaN where the ray passes by.
     """
     along = np.cross(planes[0], planes[1])
     along /= np.linalg.norm(along)

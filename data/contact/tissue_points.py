@@ -33,7 +33,7 @@ def lift(pixels: np.ndarray, depth: np.ndarray, labels: np.ndarray, camera: Came
         camera: intrinsics of the grid.
 
     Returns:
-        Shape [P, 3] float64 [scene units]; not a number where no tissue depth is near.
+        Shape [P, 3] float64 [scene units]; NaN where no tissue depth is near.
     """
     valid = (labels == TISSUE) & (depth > 0)
     columns, rows = np.asarray(pixels, np.float64).reshape(-1, 2).T
@@ -67,7 +67,7 @@ def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.nd
         at: the point, shape [3] [scene units].
 
     Returns:
-        Shape [3] [scene units]; not a number with fewer than six points.
+        Shape [3] [scene units]; NaN with fewer than six points.
     """
     finite = np.isfinite(before).all(1) & np.isfinite(after).all(1)
     before, after = before[finite], after[finite]

@@ -73,7 +73,7 @@ def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarr
 
     Args:
         points: places at rest, shape [N, 2] [px].
-        moved: displacements, shape [N, 2] [px]; not a number where a point is lost.
+        moved: displacements, shape [N, 2] [px]; NaN where a point is lost.
         distance: from the tool at rest, shape [N] [px].
     """
     known = np.asarray(np.isfinite(moved).all(axis=1))

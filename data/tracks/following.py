@@ -154,7 +154,7 @@ class PointFollower:
 
     @property
     def moved(self) -> np.ndarray:
-        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
+        """Displacement since the first picture, shape [N, 2] [px]; NaN where a point is lost."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
     def step(self, shown: Shown) -> None:

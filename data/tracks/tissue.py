@@ -31,7 +31,7 @@ class TissueTracker:
             point: in the first of them.
 
         Returns:
-            Shape [2]; not a number where too little tissue is followed.
+            Shape [2]; NaN where too little tissue is tracked.
         """
         if not np.isfinite(point).all():
             return np.full(2, np.nan)
@@ -61,7 +61,7 @@ class TissueTracker:
         return near if found is None else (found + 0.5) * _scale(shown) - 0.5
 
     def _followed(self, one: Shown, other: Shown, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements of places [N, 2], not a number where they are lost; how far the tool is [N], -1 off tissue."""
+        """Displacements of places [N, 2], NaN where they are lost; how far the tool is [N], -1 off tissue."""
         step, known = followed(one.flat, other.flat, places, WINDOW)
         usable = np.isfinite(_within(one.gray.shape[::-1], places)[:, 0])
         usable &= values_at(one.labels == TISSUE, np.rint(places))
@@ -157,6 +157,6 @@ def _peak(values: np.ndarray) -> float:
 
 
 def _within(size: tuple[int, ...], points: np.ndarray) -> np.ndarray:
-    """Points [..., 2] that lie in a picture of a width and height, others not a number."""
+    """Points [..., 2] that lie in a picture of a width and height, others NaN."""
     inside = ((points >= -0.5) & (points < np.array(size) - 0.5)).all(axis=-1, keepdims=True)
     return np.where(inside, points, np.nan)

@@ -10,7 +10,7 @@ palpation    moduli from simulated palpations, as in Frank 2010
 instruments  automatic masks against outlines that people drew
 inference    time of networks and of whole videos
 alarm        false alarms of a limit of force against missed crossings
-harness      what all share: an experiment gives rows for a case; resuming and tables
+harness      common parts: experiments, their resumption, and tables
 """
 
 import sys

@@ -11,6 +11,7 @@ from palpate.common.doors import enter_door, run_door
 if __name__ == "__main__":
     enter_door()  # before the slow imports
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -32,11 +33,6 @@ from palpate.estimators.open import open_estimator
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.session import estimates_of
 from palpate.results.alarm import ForceAlarm
-
-LIMITS = (0.05, 0.1, 0.15)
-"""Limits of the force [scene units]."""
-RAISED = (0.05, 0.2, 0.5, 0.8, 0.9, 0.95, 0.99)
-"""Probabilities from which on there is an alarm."""
 
 
 @dataclass(frozen=True)
@@ -64,19 +60,18 @@ def presses(clips: int) -> Iterator[tuple[float, list[FrameEstimate]]]:
 
 def curve(found: list[tuple[float, list[FrameEstimate]]]) -> pd.DataFrame:
     """False alarms a minute under the limit, and the share of presses above it without an alarm."""
-    rows = []
-    for limit in LIMITS:
-        for raised in RAISED:
-            minutes, alarms, missed = 0.0, 0, []
-            for force, frames in found:
-                alarm = ForceAlarm(limit, "", math.inf, raised, min(raised, 0.5))
-                for frame in frames:
-                    alarm.watch(frame)
-                if force < limit:
-                    minutes, alarms = minutes + (frames[-1].time_s - frames[0].time_s) / 60, alarms + alarm.alarms
-                else:
-                    missed.append(alarm.alarms == 0)
-            rows.append((limit, raised, alarms / minutes if minutes else np.nan, np.mean(missed) if missed else np.nan))
+    rows, limits = [], (0.05, 0.1, 0.15)  # of the force [scene units]
+    for limit, raised in itertools.product(limits, (0.05, 0.2, 0.5, 0.8, 0.9, 0.95, 0.99)):  # thresholds of probability
+        minutes, alarms, missed = 0.0, 0, []
+        for force, frames in found:
+            alarm = ForceAlarm(limit, "", math.inf, raised, min(raised, 0.5))
+            for frame in frames:
+                alarm.watch(frame)
+            if force < limit:
+                minutes, alarms = minutes + (frames[-1].time_s - frames[0].time_s) / 60, alarms + alarm.alarms
+            else:
+                missed.append(alarm.alarms == 0)
+        rows.append((limit, raised, alarms / minutes if minutes else np.nan, np.mean(missed) if missed else np.nan))
     return pd.DataFrame(rows, columns=("limit", "raised", "false alarms a minute", "missed crossings"))
 
 

@@ -2,8 +2,8 @@
 
     python -m benchmarks.compare_with_truth --results FOLDER [FOLDER …]
 
-Folders are those that `palpate infer` wrote, of frame folders that `python -m data.synthetic` drew, or of their video
-files. Exit status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
+Folders are results of `palpate infer` on frame folders of `python -m data.synthetic`, or on their video files. Exit
+status: 0 all shown; 1 some are of no such clip, or have no estimate of its run of contact; 2 wrong usage.
 """
 
 import csv
@@ -29,14 +29,14 @@ from palpate.results.store import INTERACTIONS, RECORD
 
 
 class NoTruth(ValueError):
-    """Results can't be compared with the truth; the message is a sentence."""
+    """Error: results can't be compared with the truth; the message is a sentence."""
 
 
 def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
     """Return a clip's name, the row of `interactions.csv` of its true run of contact, and its true values.
 
     Raises:
-        NoTruth: they are no results, of no synthetic clip, or have no such run.
+        NoTruth: the folder holds no results of a synthetic clip, or these lack that run.
     """
     try:
         record = json.loads(read_file(folder / RECORD, MOST_BYTES))
@@ -45,7 +45,7 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
         rows = list(csv.DictReader(text))
         truth = json.loads(read_file((clip if clip.is_dir() else clip.with_suffix("")) / "truth.json", MOST_BYTES))
         theta, onset = np.abs([float(truth["theta"][name]) for name in PARAMETERS]), float(truth["onset_s"])
-        # A run of contact is the true one where it begins within so many frames of it.
+        # A run of contact that begins within 1.5 frames of the true one is taken for it.
         begun = [row for row in rows if abs(float(row["onset_time_s"]) - onset) * fps <= 1.5]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, csv.Error) as error:
         problem = f"holds no results of infer.py on a clip of data.synthetic ({reason(error)})"
@@ -58,9 +58,9 @@ def read_results(folder: Path) -> tuple[str, dict[str, str], dict[str, float]]:
 
 
 def table_of(name: str, row: Mapping[str, str], truth: Mapping[str, float]) -> pd.DataFrame:
-    """Every quantity with its estimate, interval and truth; numbers of what is not determined are not shown.
+    """Table of quantities with estimate, interval and truth; without numbers where they aren't determined.
 
-    A video alone gives lengths, and forces with them, in a unit of its own only: these aren't judged.
+    A video alone gives lengths and forces in its own unit only: these aren't judged.
     """
     own_unit = () if Path(name).suffix == "" else ("force", "force_over_stiffness")  # what counts in lengths
     determined, lines = row["determined"].split(";"), []

@@ -3,10 +3,14 @@
     python -m benchmarks.goldens [--group recovery online …] [--write]
 
 Computes each group and compares it with tests/goldens.json, to a relative tolerance of 1e-4; `--write` replaces the
-groups computed. Groups: network and direct (six synthetic clips with depth), rgb (their video files), recovery, grips
-(one clip of each suite), online (Liang 2024, one sequence), palpation and plan (Frank 2010), real (two real clips;
-left out where TISSUE_REAL_DATA, or ../shared/data, doesn't exist). Exit status: 0 equal or written; 1 different; 2
-wrong usage.
+groups computed. Exit status: 0 equal or written; 1 different; 2 wrong usage.
+
+network, direct   six synthetic clips with depth
+rgb               their video files
+recovery, grips   one clip of each suite
+online            Liang 2024, one sequence
+palpation, plan   Frank 2010
+real              two real clips; left out where TISSUE_REAL_DATA, or ../shared/data, doesn't exist
 """
 
 import json

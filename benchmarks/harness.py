@@ -1,8 +1,8 @@
 """Parts that every evaluation shares: an experiment maps a case to dictionaries, and the rest stands here once.
 
 An `Experiment` is a frozen dataclass whose fields are its options. `run` reads them from the command line, does the
-cases that no earlier run has done, keeps every row of results as a line of results.jsonl, so that the same command
-continues an interrupted run, and writes the tables that the experiment makes of all rows.
+cases that no earlier run has done, and writes the tables that the experiment makes of all rows. It keeps every row of
+results as a line of results.jsonl, so that the same command continues an interrupted run.
 """
 
 import json
@@ -28,13 +28,13 @@ from palpate.common.tables import to_cell
 from palpate.common.workers import WorkerLost, run_tasks
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.models.onnx_session import ModelFileError
-from palpate.results.store import OutputError, make_output, writing
+from palpate.results.store import RECORD, OutputError, make_output, writing
 
-RESULTS, RECORD = "results.jsonl", "run.json"
+RESULTS = "results.jsonl"
 MOST_BYTES = 2**27
 """Largest size of a file of results; tens of thousands are smaller."""
-
 OK = "ok"
+"""Status of a case without a problem."""
 
 Row = dict[str, Any]
 """Results of one case by name: texts, numbers and arrays; what does not exist is left out."""
@@ -47,11 +47,11 @@ class Report:
     tables: Mapping[str, pd.DataFrame]
     """Tables by the name of their file."""
     shown: Sequence[pd.DataFrame] = ()
-    """Printed."""
+    """Tables that are printed."""
     lines: Sequence[tuple[str, str]] = ()
     """Lines on the terminal, each with its style."""
     failed: bool = False
-    """Whether the program ends with status 1."""
+    """True if the program ends with status 1."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ class Experiment:
     """folder of the results"""
 
     keys: ClassVar[tuple[str, ...]] = ("file",)
-    """Fields of a row that tell it from all others."""
+    """Fields of a row that identify it."""
     work: ClassVar[Callable[[Any], list[Row]]]
     """Function from a case to its rows, importable by its name; a case that breaks something has a row that says so."""
     writes: ClassVar[Sequence[str]] = ("table.csv",)
-    """Names of files that are known before the work, where no user's file may be."""
+    """Names of files known before the work, which may not replace a user's."""
 
     @property
     def wanted(self) -> Collection[Any]:
@@ -81,7 +81,7 @@ class Experiment:
         return {}
 
     def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Any], int]:
-        """The cases that are left, each what is asked for and the key of one of it; and how many there are in all."""
+        """Cases that are left, each the experiment and a key; and the number of all cases."""
         return [(self, key) for key in self.wanted if key not in done], len(self.wanted)
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
@@ -93,10 +93,10 @@ def run(kind: type[Experiment], arguments: Sequence[str] | None, program: str, d
     """Run an experiment from the command line.
 
     Args:
-        kind: which.
-        arguments: of the command line; None = the program's own.
-        program: how a user calls it.
-        documentation: for `--help`.
+        kind: class of the experiment.
+        arguments: command line; None = the program's own.
+        program: name of the program.
+        documentation: text of `--help`.
 
     Returns:
         Exit status: 0 done; 1 failed; 2 wrong usage; 130 interrupted.
@@ -146,8 +146,8 @@ class Store:
 
     Args:
         output: the folder; made when it is not there.
-        wanted: what the results depend on, JSON-able. A later run may leave a part out or add one, but what both have
-            must be the same.
+        wanted: record of everything the results depend on, JSON-able. A later run may leave out or add
+            entries, but common ones must be equal.
         keys: fields that tell a row from all others.
 
     Raises:
@@ -186,7 +186,7 @@ class Store:
 
 
 def _parsed(line: str | bytes, keys: tuple[str, ...]) -> tuple[tuple, Row]:
-    """Key and row of a line: lists are arrays, what is null in one is not a number, and what is null is left out."""
+    """Key and row of a line: lists are arrays, null is NaN in a list, and else left out."""
     row = {name: value for name, value in json.loads(line).items() if value is not None}
     for name, value in row.items():
         if isinstance(value, list):
@@ -242,7 +242,7 @@ def show(frame: pd.DataFrame) -> None:
 
 
 def attempted(work: Callable[[], Row]) -> Row:
-    """Result of some work, or why it gives nothing: what breaks on one case is a result, and the others go on."""
+    """Result of some work, or the reason for none: an error in one case is a result, and the others go on."""
     try:
         with interruptible():
             return work()
@@ -252,7 +252,7 @@ def attempted(work: Callable[[], Row]) -> Row:
 
 
 def measured(case: tuple[str, str, Callable[[], Row]]) -> list[Row]:
-    """Measures of one case, by name, or the sentence that says why there are none: the other cases go on."""
+    """Measures of one case, by name, or the reason for none as a sentence: the other cases go on."""
     key, name, work = case
     row = attempted(work)
     return [{key: name, **({"status": row["reason"]} if "reason" in row else row)}]

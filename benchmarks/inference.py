@@ -2,8 +2,8 @@
 
     python -m benchmarks.inference --against HEAD~1
 
-The networks are exported with random weights, which cost what trained ones do. Bini 2026, section 4.3, has 1.67 ms for
-encoder and head and 921 ms for the depth network, on a GPU; here all runs on the CPU. The synthetic videos last ten
+The networks are exported with random weights, which cost as much as trained ones. Bini 2026, section 4.3, has 1.67 ms
+for encoder and head and 921 ms for the depth network on a GPU. Here all runs on the CPU. The synthetic videos last ten
 seconds, with an instrument in view in all frames: a press, then a pull, before a camera that turns slightly.
 """
 
@@ -20,7 +20,7 @@ import sys
 import timeit
 from collections.abc import Generator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -45,20 +45,11 @@ from palpate.physics.mechanics import RECOMMENDED
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = 120, 214
 """Height and width of the networks' input."""
-RUNS = 20
 NETWORKS: dict[str, dict[str, Any]] = {
     "paper.yaml": {"channels": 1},
     "recommended.yaml": {"channels": 8, "head": "posterior", "contact_features": FEATURES, "bounds": RECOMMENDED},
 }
 """Differences from the generator's defaults."""
-SIZES = (854, 480), (1280, 720)
-"""Width and height of the synthetic videos [px]."""
-SCENES: tuple[dict[str, Any], ...] = (
-    {"frames": 75, "onset_fraction": (0.2, 0.2), "press_seconds": (2.0, 2.0), "profile": "hold"},
-    {"frames": 175, "onset_fraction": (0.1, 0.1), "action": "grip"},
-)
-"""Events of a synthetic video, one after the other."""
-SEED = 55
 
 
 @dataclass(frozen=True)
@@ -85,24 +76,26 @@ def encoder_and_head(file: Path, threads: int | None) -> float:
     """Median time of one frame [ms]."""
     model, generator = open_model(file, threads), np.random.default_rng(0)
     given = {name: generator.random((1, *shape), dtype=np.float32) for name, shape in model.inputs.items()}
-    return 1e3 * float(np.median(timeit.repeat(lambda: model.run(given), number=1, repeat=RUNS)))
+    return 1e3 * float(np.median(timeit.repeat(lambda: model.run(given), number=1, repeat=20)))
 
 
 def synthetic_videos(folder: Path) -> list[Path]:
-    """Write the SCENES as a video of each of SIZES, the first as it is drawn, into a folder."""
-    files = [folder / "{}x{}.mp4".format(*size) for size in SIZES]
+    """Write a press and then a pull as a video of each of two sizes, the first as it is drawn, into a folder."""
+    sizes, seed = ((854, 480), (1280, 720)), 55
+    press = SceneSettings(frames=75, onset_fraction=(0.2, 0.2), press_seconds=(2.0, 2.0), profile="hold")
+    pull = SceneSettings(frames=175, onset_fraction=(0.1, 0.1), action="grip")
+    files = [folder / "{}x{}.mp4".format(*size) for size in sizes]
     with ExitStack() as stack:
-        videos = [stack.enter_context(closing(Video(*given, 25, crf=18))) for given in zip(files, SIZES, strict=True)]
-        for scene in SCENES:
-            settings = SceneSettings(width=SIZES[0][0], height=SIZES[0][1], turning_deg=0.5, **scene)
-            for image, *_ in observe(*draw_truth(settings, SEED), SEED):
-                for video, size in zip(videos, SIZES, strict=True):
+        videos = [stack.enter_context(closing(Video(*given, 25, crf=18))) for given in zip(files, sizes, strict=True)]
+        for scene in (press, pull):
+            for image, *_ in observe(*draw_truth(replace(scene, turning_deg=0.5), seed), seed):
+                for video, size in zip(videos, sizes, strict=True):
                     video.write(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC))
     return files
 
 
 def timed(root: Path, video: Path, output: Path) -> dict[str, Any]:
-    """Run `infer.py` of a checkout; return what it took in all, and then the seconds of its stages.
+    """Run `infer.py` of a checkout; return its total time, and then the seconds of its stages.
 
     Raises:
         RuntimeError: it failed.

@@ -3,10 +3,13 @@
     python -m benchmarks.instruments --data DIR [--network FILE.onnx] [--output DIR]
 
 A source is a folder below DIR of pictures NAME.png or .jpg with NAME_tool.png beside them (255 = instrument, 127 = not
-known), or a clip in CholecSeg8k's or our own layout; folders below `free` have trained the network that ships and are
-left out. Pictures are compared at 384×224. table.csv has for every source the pictures with an instrument, their mean
-IoU, the share with an IoU below 0.05, the mean number of stray pixels (farther than 4 px from an instrument), the share
-of pictures with more than 100 of them, and tool-free pictures in which one is found; at last the time a frame.
+known), or a clip in CholecSeg8k's or our own layout. Folders below `free` have trained the network that ships and are
+left out. Pictures are compared at 384×224. table.csv has a row a source:
+
+pictures, IoU, below 0.05    pictures with an instrument, their mean IoU, and the share with an IoU below 0.05
+stray pixels, above 100      mean number of pixels farther than 4 px from an instrument; share of pictures with over 100
+tool-free, tool found there  pictures without an instrument, and those in which one is found
+ms a frame                   median time
 """
 
 import time
@@ -31,9 +34,6 @@ from palpate.data.source.images import read_image
 from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
 from palpate.results.store import OutputError, make_output
 
-OWN, CLIP = "_tool", "_color_mask"
-"""Endings of masks of own pictures, and of clips."""
-
 
 @dataclass(frozen=True)
 class Instruments:
@@ -56,7 +56,7 @@ def sources(folder: Path) -> dict[str, list[tuple[Path, Path]]]:
     found: dict[str, list[tuple[Path, Path]]] = {}
     for mask in sorted(folder.rglob("*.png")):
         name, parts = mask.stem, mask.relative_to(folder).parts
-        stem = next((name.removesuffix(end) for end in (OWN, CLIP) if name.endswith(end)), None)
+        stem = next((name.removesuffix(end) for end in ("_tool", "_color_mask") if name.endswith(end)), None)
         if stem is None or "free" in parts:
             continue
         picture = next((file for end in IMAGE_SUFFIXES if (file := mask.with_name(stem + end)).is_file()), None)
@@ -68,8 +68,8 @@ def sources(folder: Path) -> dict[str, list[tuple[Path, Path]]]:
 
 
 def instrument(mask: Path, size: tuple[int, int]) -> np.ndarray:
-    """1 = instrument, 0 = none, 2 = not known, uint8 [H, W]."""
-    if not mask.stem.endswith(OWN):
+    """Labels of a mask: 1 = instrument, 0 = none, 2 = not known, uint8 [H, W]."""
+    if not mask.stem.endswith("_tool"):
         classes = MaskClasses(tool=("grasper", "l-hook electrocautery"), tissue=("gallbladder",))
         return (read_class_mask(mask, size, classes) == TOOL).astype(np.uint8)
     stored = read_image(mask, cv2.IMREAD_GRAYSCALE)
@@ -114,9 +114,8 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
             "ms a frame": 1e3 * parts.seconds.median(),
         }
     )
-    all_of = summed.mean()
-    all_of[["pictures", "tool-free", "tool found there"]] = summed[["pictures", "tool-free", "tool found there"]].sum()
-    summed.loc["all"] = all_of
+    counts = ["pictures", "tool-free", "tool found there"]
+    summed.loc["all"] = summed.agg({name: "sum" if name in counts else "mean" for name in summed})
     return summed.reset_index()
 
 

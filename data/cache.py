@@ -33,37 +33,31 @@ from palpate.data.source.layout import InputError, right_beside
 from palpate.data.source.lerobot import file_of, span_of
 from palpate.physics.mesh import Mesh
 
-ENTRY_FILE = re.compile(rf"(clip|\d+)\.npz|{re.escape(LIST)}")
-"""Pattern of the names of an entry's files."""
-AS_PREPARED = (
-    "status", "out_of_contact", "consecutive", "displacement", "backward", "rigid", "track_start", "track_position"
-)  # fmt: skip
-"""Values of a frame that are stored by their own names."""
-NOT_STORED = (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction"))
-"""Settings on which a prepared clip does not depend: where a model runs, and the force's direction of samples."""
-
 
 def cache_key(path: Path, settings: PrepareSettings, following: Iterable[Path] = ()) -> str:
     """Digest of a clip's files (name, size, time of change), the settings, the models and the code version.
 
     Args:
         path: frame folder or video file.
-        settings: how it is prepared.
+        settings: settings of the preparation.
         following: frame folders that continue the first one.
 
     Raises:
         InputError: a model or a camera can't be found.
     """
     fields = dataclasses.asdict(settings)
-    for group, name in NOT_STORED:
+    # A prepared clip does not depend on where a model runs, nor on the force's direction of samples.
+    for group, name in (("depth", "threads"), ("depth", "device"), ("geometry", "force_direction")):
         fields[group].pop(name)
     beside = filter(None, (right_beside(each, settings.layout) for each in (path, *following)))
+    # By their states: opening the models would cost seconds even where the cache has the clip.
+    models = ((model.stat(), reading) for model, reading in require_models(settings))
     document = {
         "span": span_of(path),
         "files": [state for each in (path, *following, *beside) for state in _file_states(each)],
         "settings": fields,
         "camera": repr(clip_camera(path, settings.layout)),
-        "models": [_model_state(model, reading) for model, reading in require_models(settings)],
+        "models": [[reading, state.st_size, state.st_mtime_ns] for state, reading in models],
         "code": code_digest("preparation"),
     }
     return digest_of(document)[:24]
@@ -94,18 +88,12 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
     return models
 
 
-def _model_state(model: Path, reading: str) -> list[Any]:
-    """State of a model's file; opening the model would cost seconds even where the cache has the clip."""
-    state = model.stat()
-    return [reading, state.st_size, state.st_mtime_ns]
-
-
 @dataclass(eq=False)
 class PreparedClip:
     """A prepared clip, read from the cache; depth and meshes stay on disk until they are used.
 
     Arrays without a description have an entry a frame (first axis F) of the field of that name in PreparedFrame or
-    FrameGeometry; a frame without a value holds NaN or -1.
+    FrameGeometry. A frame without a value holds NaN or -1.
     """
 
     folder: Path
@@ -120,13 +108,13 @@ class PreparedClip:
     """Width and height of its pictures [px]."""
     status: np.ndarray
     contact: np.ndarray
-    """Whether a frame is in contact, shape [F]."""
+    """Mask of frames in contact, shape [F]."""
     out_of_contact: np.ndarray
-    """Whether a frame is known to be out of contact, shape [F]."""
+    """Mask of frames known to be out of contact, shape [F]."""
     times: np.ndarray
     """Time stamps of the frames, shape [F] [s]."""
     usable: np.ndarray
-    """Whether a frame has depth, shape [F]."""
+    """Mask of frames with depth, shape [F]."""
     consecutive: np.ndarray
     vertex: np.ndarray
     normal: np.ndarray
@@ -156,9 +144,7 @@ class PreparedClip:
             return stored["labels"]
 
     def frame(self, index: int, whole: bool) -> Any:
-        """What a run of contact keeps of a frame, named as in `PreparedFrame`; depth and labels are None unless
-        `whole`.
-        """
+        """Values of a frame for a contact, named as in `PreparedFrame`; depth and labels are None unless `whole`."""
         depth, labels = (self.depth(index), self.labels(index)) if whole else (None, None)
         same = {name: getattr(self, name)[index] for name in ("out_of_contact", "consecutive", "track_position")}
         known = {"time_s": float(self.times[index]), "in_contact": bool(self.contact[index]), "skipped": ()}
@@ -190,7 +176,7 @@ class CacheEntry:
         """The prepared clip, or None where there is none; a damaged entry is removed."""
         if not isdir(self.folder):  # no entry, or a name that is too long for any folder
             return None
-        with contextlib.suppress(OSError):  # a file is missing, or not as it was written
+        with contextlib.suppress(OSError):  # a file is missing, or damaged
             require_own_folder(self.folder)
             with np.load(self.folder / "clip.npz") as stored:
                 columns = dict(stored)
@@ -242,7 +228,8 @@ def _remove(folder: Path) -> None:
     """Remove an entry's files, and the folder if nothing else is in it."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
-            if ENTRY_FILE.fullmatch(path.name) and (path.is_symlink() or not path.is_dir()):
+            own = re.fullmatch(rf"(clip|\d+)\.npz|{re.escape(LIST)}", path.name)
+            if own and (path.is_symlink() or not path.is_dir()):
                 path.unlink()
         folder.rmdir()
 
@@ -255,7 +242,8 @@ def _frame_file(folder: Path, index: int) -> Path:
 def _row(prepared: PreparedFrame) -> dict[str, Any]:
     """Values of a frame other than depth, labels and mesh, by the names of PreparedClip's arrays."""
     geometry = prepared.geometry
-    return {name: getattr(prepared, name) for name in AS_PREPARED} | {
+    same = ("status", "out_of_contact", "consecutive", "displacement", "backward", "rigid", "track_start")
+    return {name: getattr(prepared, name) for name in (*same, "track_position")} | {
         "contact": prepared.in_contact,
         "times": prepared.frame.time_s,
         "usable": prepared.has_depth,

@@ -1,7 +1,7 @@
 """One clip from pictures to contacts: the one per-frame path, for training preparation and for inference.
 
-Per frame: picture → labels → depth, free of lens distortion → grid → normalised depth → contact and mesh → status; and
-with the next frame: observed displacement and the run of contact (Bini 2026, sections 3.2.1 and 3.2.2).
+Per frame: picture → labels → depth, free of lens distortion → grid → normalised depth → contact and mesh → status. With
+the next frame: observed displacement and the contact's track (Bini 2026, sections 3.2.1 and 3.2.2).
 """
 
 import contextlib
@@ -37,10 +37,8 @@ from palpate.data.source.repeats import mark_repeats
 
 STAGES = 5
 """Number of concurrent pipeline stages: masks, preparation of a frame, contact, estimation and drawing."""
-AHEAD, WHILE_FITTING = 2, 16
-"""Frames that wait between two stages that overlap, and for an estimator, which may fit for seconds."""
 Noticed = Callable[[PreparedFrame], None] | None
-"""Called with every frame that is prepared, before its contact is decided."""
+"""Callback for every frame that is prepared, before its contact is decided."""
 
 
 class ClipStream:
@@ -62,8 +60,8 @@ class ClipStream:
 
         Args:
             source: the pictures.
-            settings: how to prepare them.
-            masks, depth, camera: of a clip whose own lie in no file; None = as the settings say.
+            settings: settings of the preparation.
+            masks, depth, camera: sources for a clip without such files; None = the settings' choice.
 
         Raises:
             InputError: a model, preset, camera or clip file can't be used, or the camera is of another shape.
@@ -77,12 +75,12 @@ class ClipStream:
         )
         self._depth = depth or open_depth(settings.depth, settings.layout, source)
         self.guesses_depth = self._depth.from_picture
-        """Whether depth is guessed from the pictures alone, so that light is what is measured."""
+        """True if depth is guessed from the pictures alone, so that light is the measurement."""
         self.identity = self._depth.identity, self._masks.identity
         """Models and files on which depth and masks depend, besides the clip's own and settings."""
         chosen = Path(chosen_kind(settings.masks, source.path, settings.layout)).name
         self.sources = {"depth": self._depth.identity.split(":")[0], "masks": chosen}
-        """Where depth and masks of this clip come from, in a word each: what a network trained on them depends on."""
+        """Sources of depth and masks, a word each, on which a network trained on the clip depends."""
         camera, (width, height) = camera or clip_camera(source.path, settings.layout), source.size
         picture = None if camera is None else camera.scaled(width, height)
         if camera and picture and not settings.layout.halved:  # halves of one picture may be squeezed
@@ -93,7 +91,7 @@ class ClipStream:
                 raise InputError(f"{source.path} has pictures of {width}x{height}, and its camera is of {own}.")
         self._scale_error = ""
         self.scale, focal = math.nan, None
-        """Depth that is z = 1 [unit of the depth source]; not a number where no frame has depth."""
+        """Depth that is z = 1 [unit of the depth source]; NaN if no frame has depth."""
         with self._timed("scale"):
             try:
                 self.scale, focal = estimate_scale(source, self._depth, settings.depth)
@@ -125,15 +123,12 @@ class ClipStream:
         """
         return self.overlapped(0, 0)
 
-    def overlapped(
-        self, most: int = AHEAD, decided: int = WHILE_FITTING, noticed: Noticed = None
-    ) -> Iterator[PreparedFrame]:
+    def overlapped(self, most: int = 2, decided: int = 16, noticed: Noticed = None) -> Iterator[PreparedFrame]:
         """Yield the same frames, while threads prepare the next ones and decide about their contact.
 
         Args:
-            most: prepared frames that wait for their decision; each makes what follows a frame's time later. 0 = none,
-                without a thread.
-            decided: frames that wait for the caller after it, likewise.
+            most: queue length in front of the decision, which adds to the latency [frames]; 0 = none, without a thread.
+            decided: queue length in front of the caller, which may fit for seconds [frames]; 0 likewise.
             noticed: called in one of these threads.
         """
         self._masks.reset()
@@ -151,7 +146,7 @@ class ClipStream:
         yield from held
 
     def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
-        """Frames with all that is known of whether they are in contact, by the frames around them as well."""
+        """Frames with their contact decided, by the frames around them as well."""
         geometry, prepared = self.settings.geometry, self._prepared(most, noticed)
         measured = bridge_gaps(prepared, stored=not self.guesses_depth)
         frames = _staged(measured, most)
@@ -166,7 +161,7 @@ class ClipStream:
     def _decided(
         self, frames: Iterator[PreparedFrame], contacts: ContactEvidence | LightContacts
     ) -> Iterator[PreparedFrame]:
-        """Frames once it is decided whether they are in contact, which may be known some frames later."""
+        """Frames once their contact is decided, which may be some frames later."""
         for prepared in frames:
             with self._timed("contact"):
                 decided = contacts.push(prepared)
@@ -195,7 +190,7 @@ class ClipStream:
         shape = (self.settings.geometry.height, self.settings.geometry.width)
         kept: np.ndarray | None = None
         instruments = InstrumentNumbers()
-        # Whoever is told of frames as they come can't wait for later ones.
+        # A caller that is notified of frames as they come can't wait for later ones.
         masked = _staged(self._masked(noticed is None), most if noticed is None else min(most, 1))
         for count, (frame, repeats, labels) in enumerate(masked):
             if repeats:
@@ -212,7 +207,7 @@ class ClipStream:
         """Everything about a frame that needs no other frame.
 
         Args:
-            frame: of the clip.
+            frame: frame of the clip.
             shown: its label map, uint8 [H, W], or why there is none.
             depth_before: z of a frame before, which is taken for this one's, shape [h, w] [scene units]; None = its
                 own is found.
@@ -291,7 +286,7 @@ class ClipStream:
 
 
 def _staged(frames: Iterator[Item], most: int) -> Iterator[Item]:
-    """Frames that a thread of their own makes, so many of which wait at most; 0 = made when they are asked for."""
+    """Frames made by a thread of their own, of which `most` wait at most; 0 = made when they are asked for."""
     return ahead(frames, most) if most else frames
 
 
@@ -304,12 +299,12 @@ def prepare(
 ) -> PreparedClip:
     """Prepare a clip once: from the cache where nothing that it depends on has changed, else frame by frame.
 
-    The entry appears under its final name only when complete, so an interruption leaves nothing half-written, and of
+    The entry appears under its final name only when complete, so that an interruption leaves nothing half-written. Of
     several processes that prepare the same clip the first to finish wins.
 
     Args:
         path: frame folder or video file.
-        settings: how to prepare it.
+        settings: settings of the preparation.
         cache_dir: folder of the cache; made where it does not exist.
         track: gives the stream's frames one by one and may count them, as a progress bar does.
         following: frame folders that carry the first one on.

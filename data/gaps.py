@@ -15,31 +15,22 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import Frame
 from palpate.data.source.repeats import HISTORY, LEAST_HISTORY, MOST_GAPS
 
-REPEATED = "repeated"
-"""Status of frames whose picture or depth is that of the frame before."""
-PICTURE_REPEATS = "The picture repeats the one before, so it is no measurement; record at the camera's own frame rate."
-DEPTH_REPEATS = "The stored depth repeats that of the frame before, so it is no measurement; store one map a picture."
-JUMPS = "The tissue's depth is {:.3g} times that of the frame before; check the scale of this depth map."
-JUMP = math.log(1.1)
-"""Smallest jump of the depth's scale between two frames, as a logarithm."""
-FLICKERS = 6.0
-"""And as a multiple of the median of the clip's own changes of scale."""
 
-
-def gap(frame: Frame, shape: tuple[int, int], status: str = REPEATED, detail: str = PICTURE_REPEATS) -> PreparedFrame:
-    """Prepare a frame that measures nothing, on a grid [h, w]."""
-    return PreparedFrame(frame, status, detail, np.zeros(shape, np.float32), np.zeros(shape, np.uint8))
+def gap(frame: Frame, shape: tuple[int, int], detail: str = "", status: str = "repeated") -> PreparedFrame:
+    """Prepare a frame that measures nothing, on a grid [h, w]; by default its picture is that of the frame before."""
+    repeats = "The picture repeats the one before, so it is no measurement; record at the camera's own frame rate."
+    return PreparedFrame(frame, status, detail or repeats, np.zeros(shape, np.float32), np.zeros(shape, np.uint8))
 
 
 def bridge_gaps(frames: Iterable[PreparedFrame], stored: bool) -> Iterator[PreparedFrame]:
     """Yield a clip's measurements, each with the gaps before it, numbered by `frame.index`.
 
-    Longer gaps than `MOST_GAPS`, those at the clip's end, and those where the depth's scale changes for good come as
-    frames of their own: what is observed ends there.
+    Gaps come as frames of their own, which end a contact, if they are longer than `MOST_GAPS`, at the clip's end, or
+    where the depth's scale changes for good.
 
     Args:
         frames: prepared one by one, in order.
-        stored: whether depth is measured, so that equal maps are the same measurement.
+        stored: True = depth is measured, and equal maps are one measurement.
     """
     index, gaps = 0, list[PreparedFrame]()
     last: PreparedFrame | None = None
@@ -53,14 +44,16 @@ def bridge_gaps(frames: Iterable[PreparedFrame], stored: bool) -> Iterator[Prepa
 
     for frame in frames:
         measures, shape = False, frame.depth.shape
-        if frame.status == REPEATED:
+        if frame.status == "repeated":
             gaps.append(frame)
         elif frame.has_depth and last is not None:
             scale, changed = _compared(last, frame)
             usual = np.median(past, axis=0) if len(past) >= LEAST_HISTORY else (0.0, 0.0)
-            limit = max(JUMP, FLICKERS * usual[0])
+            # Smallest jump of the depth's scale, as a logarithm, and over the median of the clip's own changes.
+            limit = max(math.log(1.1), 6.0 * usual[0])
             if stored and changed == 0 and usual[1] > 0.5:
-                gaps.append(gap(frame.frame, shape, detail=DEPTH_REPEATS))
+                repeats = "The stored depth repeats that of the frame before, so it is no measurement"
+                gaps.append(gap(frame.frame, shape, f"{repeats}; store one map a picture."))
             elif abs(scale) <= limit:
                 past.append((abs(scale), changed))
                 measures = True
@@ -68,7 +61,8 @@ def bridge_gaps(frames: Iterable[PreparedFrame], stored: bool) -> Iterator[Prepa
                 yield from map(numbered, gaps)
                 gaps, measures = [], True
             else:
-                gaps.append(gap(frame.frame, shape, "bad_depth", JUMPS.format(math.exp(scale))))
+                jumps = f"The tissue's depth is {math.exp(scale):.3g} times that of the frame before"
+                gaps.append(gap(frame.frame, shape, f"{jumps}; check the scale of this depth map.", "bad_depth"))
                 jumped = frame
         else:
             measures = True

@@ -3,7 +3,7 @@
 from palpate.data.source.layout import InputError
 
 OTHER, TISSUE, TOOL, UNSURE = 0, 1, 2, 3
-"""The last may be an instrument or not."""
+"""Labels of other pixels, tissue, the tool, and pixels that may be an instrument."""
 
 
 class MaskError(InputError):

@@ -10,10 +10,6 @@ from palpate.common.onnx_devices import DeviceError, first_line, open_session, o
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.layout import InputError
 
-_NUMBERS = {"float": np.float32, "float16": np.float16, "double": np.float64, "uint8": np.uint8}
-_INPUT_TYPES = {f"tensor({name})": dtype for name, dtype in _NUMBERS.items()}
-"""Numpy type of each accepted type of an input."""
-
 
 class PictureNetwork:
     """A network in a file that takes one picture.
@@ -21,8 +17,8 @@ class PictureNetwork:
     Args:
         path: ONNX file.
         threads: intra-op threads, 0 = onnxruntime's choice.
-        device: where it runs, one of `palpate.common.onnx_devices.DEVICES`.
-        raw: whether the network may take 8-bit numbers, which hold no normalised picture.
+        device: one of `palpate.common.onnx_devices.DEVICES`.
+        raw: True = the network may take 8-bit numbers, which hold no normalised picture.
 
     Raises:
         InputError: no such file or device, not an ONNX model, or other inputs than one picture.
@@ -37,22 +33,24 @@ class PictureNetwork:
         except Exception as error:  # onnxruntime's errors share no base class of their own
             raise InputError(f"{path} {opening_problem(error)}.") from error
         self._session, inputs = session, session.get_inputs()
-        types = [name for name, dtype in _INPUT_TYPES.items() if raw or dtype is not np.uint8]
+        types = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64}
+        if raw:
+            types["tensor(uint8)"] = np.uint8
         if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type not in types:
             found = ", ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs)
             raise InputError(f"{path} takes {found}, and not one colour picture; export it that way.")
-        self._input = inputs[0]
+        self._input, self._dtype = inputs[0], types[inputs[0].type]
         self.outputs = [entry.name for entry in session.get_outputs()]
         """Names of the network's outputs."""
 
     @property
     def outlines_instruments(self) -> bool:
-        """Whether `configs/masks.yaml` trained it, as it says itself."""
+        """True if the file states that `configs/masks.yaml` trained it."""
         return '"kind": "instruments"' in self._session.get_modelmeta().custom_metadata_map.get("palpate", "")
 
     @property
     def provider(self) -> str:
-        """What of ONNX Runtime runs the network."""
+        """Provider of ONNX Runtime that runs the network."""
         return provider_of(self._session)
 
     def fixed_size(self, axes: str) -> tuple[int | None, int | None]:
@@ -84,8 +82,7 @@ class PictureNetwork:
         Raises:
             InputError: the network fails on it.
         """
-        dtype = _INPUT_TYPES[self._input.type]
-        given = (np.rint(tensor).clip(0, 255) if dtype is np.uint8 else tensor).astype(dtype)
+        given = (np.rint(tensor).clip(0, 255) if self._dtype is np.uint8 else tensor).astype(self._dtype)
         try:
             return [np.asarray(value) for value in self._session.run(outputs, {self._input.name: given})]
         except Exception as error:  # onnxruntime's errors share no base class of their own

@@ -1,4 +1,4 @@
-"""One prepared frame: what training preparation stores and inference consumes."""
+"""One prepared frame, which training preparation stores and inference consumes."""
 
 import math
 from collections.abc import Callable
@@ -17,9 +17,10 @@ from palpate.data.source.frames import Frame
 from palpate.data.tracks.following import Shown
 
 STATUSES = ("ok", "no_tool", "no_tissue", "no_contact", "bad_depth", "unreadable", "no_mask", "repeated")
-"""Statuses of a frame: `ok` means in contact; the others name the reason why a frame gives no contact."""
+"""Statuses of a frame: `ok` means in contact; others name the reason for no contact, `repeated` for no new picture or
+depth."""
 OUT_OF_CONTACT = ("no_tool", "no_contact")
-"""Statuses of frames that are known to be out of contact; for all others but `ok` that is unknown."""
+"""Statuses of frames known to be out of contact; for all others but `ok` that is unknown."""
 
 
 def _unknown() -> np.ndarray:
@@ -35,7 +36,7 @@ class PreparedFrame:
     status: str
     """One of STATUSES."""
     detail: str
-    """Reason why the status is not `ok`, or what is wrong with a contact, one sentence; empty where nothing is."""
+    """Reason for a status other than `ok`, or for a dubious contact, one sentence; empty if there is none."""
     depth: np.ndarray
     """z on the grid, shape [h, w], float32 in [0, 1] [scene units]; 0 = invalid."""
     labels: np.ndarray
@@ -48,14 +49,13 @@ class PreparedFrame:
     """Probability of contact, by whether tissue moves with the tool (`data.contact.evidence`); NaN where outlines and
     depth already exclude contact."""
     undecided: bool = False
-    """Whether the tool hovered before, and since then neither motion nor depth tells whether it touches."""
+    """True if the tool hovered before, and since then neither motion nor depth decides about contact."""
     make_light: Callable[[], np.ndarray] | None = None
-    """Return the logarithm of the tissue's light, as in `data.shading.light.log_light`; None where it isn't looked
-    at."""
+    """Function for the logarithm of the tissue's light, as in `data.shading.light.log_light`; None if it isn't used."""
     light_view: View | None = None
-    """The view in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
+    """View in which that light lies on its lattice; None = the frame's own, of a camera that stands still."""
     press: tuple[int, int] | None = None
-    """Grid pixel (u, v) of the dent by whose darkening a press was found; None where outlines tell the contact."""
+    """Grid pixel (u, v) of the dent by whose darkening a press was found; None if outlines decide about contact."""
     distance: float = math.nan
     """Distance of tool and tissue [scene units]; NaN where it was not measured."""
     displacement: np.ndarray = field(default_factory=_unknown)
@@ -66,7 +66,7 @@ class PreparedFrame:
     rigid: np.ndarray = field(default_factory=_unknown)
     """Motion to the next frame if the contact moved rigidly with the tissue far from it, shape [3] [scene units]."""
     consecutive: bool = False
-    """Whether a next frame exists and has the next number."""
+    """True if a next frame exists and has the next number."""
     track_start: int = -1
     """Index of the frame where this run of contact began, kept after its release; -1 where no onset was observed."""
     track_position: np.ndarray = field(default_factory=_unknown)
@@ -79,15 +79,15 @@ class PreparedFrame:
 
     @property
     def light(self) -> np.ndarray | None:
-        """What `make_light` returns, if anything."""
+        """Logarithm of the tissue's light by `make_light`, if any."""
         return None if self.make_light is None else self.make_light()
 
     def follows(self, number: int) -> bool:
-        """Whether it is the next measurement after the frame of that number."""
+        """Return whether it is the next measurement after the frame of that number."""
         return self.frame.number - len(self.skipped) - number == 1
 
     def press_at(self, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings) -> bool:
-        """Take the tissue at a grid pixel (u, v), where a dent is, for the contact; whether that gives a mesh."""
+        """Take the tissue at a grid pixel (u, v) with a dent for the contact; return whether that gives a mesh."""
         try:
             self.geometry = dent_geometry(self.depth, self.labels, pixel, camera, settings)
             self.status, self.detail = "ok", ""
@@ -102,17 +102,17 @@ class PreparedFrame:
 
     @property
     def in_contact(self) -> bool:
-        """Whether the tool touches the tissue."""
+        """True if the tool touches the tissue."""
         return self.geometry is not None
 
     @property
     def hovers(self) -> bool:
-        """Whether the tool is at tissue in the picture that does not move with it."""
+        """True if the tool is at tissue in the picture that does not move with it."""
         return not self.in_contact and math.isfinite(self.contact_probability)
 
     @property
     def out_of_contact(self) -> bool:
-        """Whether this very frame shows that there is no contact; that a tool hovers is known some frames later."""
+        """True if this very frame shows that there is no contact; that a tool hovers is known some frames later."""
         return self.status in OUT_OF_CONTACT and not self.hovers
 
     @property
@@ -124,7 +124,7 @@ class PreparedFrame:
 
     @property
     def visible(self) -> bool:
-        """Whether the frame has an image and labels, so that tissue can be followed into it."""
+        """True if the frame has an image and labels, so that tissue can be tracked into it."""
         return self.picture_labels is not None
 
     @cached_property
@@ -136,11 +136,11 @@ class PreparedFrame:
 
     @cached_property
     def ends(self) -> np.ndarray | None:
-        """Where the free ends of instruments are, which may touch, bool [h, w]; None where there is none."""
+        """Mask of the free ends of instruments, which may touch, bool [h, w]; None if there is none."""
         return self.ends_within(None)
 
     def ends_within(self, reach: float | None) -> np.ndarray | None:
-        """The parts of instruments within `reach` grid pixels of their tips; None = END of the picture's side."""
+        """Parts of instruments within `reach` grid pixels of their tips; None = as in `tips.free_ends`."""
         tool = self.labels == TOOL
         if not (self.visible and tool.any()):
             return None
@@ -159,5 +159,5 @@ class PreparedFrame:
 
     @property
     def has_depth(self) -> bool:
-        """Whether any pixel has a depth, so that the frame can be part of a window."""
+        """True if any pixel has a depth, so that the frame can be part of a window."""
         return bool(self.depth.any())

@@ -25,15 +25,15 @@ class PrepareSettings(Checked):
     """Source of masks: annotation, automatic, auto (annotation where the clip has it), or the path of an ONNX
     segmentation model or of outlines (`data.masks.sources`)."""
     classes: MaskClasses = field(default_factory=MaskClasses)
-    """Which annotated classes are tool and tissue."""
+    """Annotated classes that are tool and tissue."""
     layout: ClipLayout = field(default_factory=ClipLayout)
-    """How the clip's files are named."""
+    """Names of the clip's files."""
     bridge_frames: Annotated[int, 0, LARGEST] = 2
     """Largest number of frames in a row without contact that count as flicker and don't end a run of contact."""
     track_seconds: NotNegative = 1.0
     """Time for which the contact's tissue point is followed from its onset, also after its release [s]."""
     every: Annotated[int, 1, LARGEST] = 1
-    """In one of so many frames automatic masks and guessed depth are found anew; in between depth is what it was, and
+    """Interval at which automatic masks and guessed depth are computed [frames]; in between depth is kept, and
     instruments move along with the picture."""
 
 

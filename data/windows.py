@@ -17,8 +17,8 @@ def window_indices(frame: int, length: int, consecutive: np.ndarray, usable: np.
     Args:
         frame: index of the window's last frame.
         length: number of frames K.
-        consecutive: whether the number of frame i + 1 follows that of frame i, shape [F].
-        usable: whether a frame has depth, shape [F].
+        consecutive: mask of frames i whose next number is that of frame i + 1, shape [F].
+        usable: mask of frames with depth, shape [F].
 
     Returns:
         Shape [K], or None where no frame in reach has depth.

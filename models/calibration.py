@@ -12,11 +12,9 @@ LOG_DAMPING: Triple = (-0.5, 1.0, 0.0)
 class Widths:
     """Calibrated standard deviations of log θ: scale · sd^power · σ^noise · (k_d/√k_s)^damping · exp(bend · distance²).
 
-    The default leaves them as they are.
-
-    Networks are surest where they should be least so: their own error hardly shrinks with the posterior's width. A
-    power below 1 widens narrow intervals more than wide ones. The distance is that of log σ from the middle of a
-    range: rounded depth lies between clean and noisy depth and is worse than both.
+    The default changes nothing. A network's own error hardly shrinks with the posterior's width, so a power below 1
+    widens narrow intervals more than wide ones. The distance is that of log σ from the middle of a range: rounded depth
+    lies between clean and noisy depth and is worse than both.
     """
 
     scale: Triple = (1.0, 1.0, 1.0)
@@ -24,26 +22,24 @@ class Widths:
     noise: Triple = (0.0, 0.0, 0.0)
     """Exponents of the observation's σ, in the unit in which the contact's features hold it."""
     damping: Triple = (0.0, 0.0, 0.0)
-    """Exponents of the damping ratio as the network estimates it, but for its constant factor: tissue that creeps has
-    posteriors unlike a normal distribution."""
+    """Exponents of the estimated damping ratio without its constant factor, as posteriors of creeping tissue are not
+    normal."""
     bend: Triple = (0.0, 0.0, 0.0)
     """Coefficients of the squared distance of log σ from the middle of `middle_range`."""
     middle_range: tuple[float, float] = (0.0, 0.0)
-    """Range of log σ among the clips that it was fitted to, but for their lowest and highest twentieth. The distance
-    doesn't grow beyond."""
+    """Range of log σ of the fitted clips less their lowest and highest twentieth; the distance is constant beyond."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Widths by what was observed of a contact, and which of its features say what was."""
+    """Widths by the observed part of a contact, and the features that tell it."""
 
     whole: Widths = Widths()
     """Widths of contacts observed through their release."""
     pressed: Widths = Widths()
-    """Widths of contacts whose release has not been observed; used where `known_features` are given."""
+    """Widths of contacts whose release has not been observed; used if `known_features` are given."""
     between: Widths = Widths()
-    """Widths of presses whose instants are not known, where they make it wider; used where `within_features` are
-    given."""
+    """Widths of presses of unknown instants, where they are wider; used if `within_features` are given."""
     noise_features: tuple[int, ...] = ()
     """Features whose sum is log σ."""
     known_features: tuple[int, ...] = ()

@@ -1,11 +1,10 @@
 """Widths that calibrate a posterior's intervals, from its errors on clips whose truth is known.
 
-Errors are taken to have standard deviations scale · sd^power · σ^noise · (k_d/√k_s)^damping, with sd the network's own,
-σ the observation's as the network is given it, and the damping ratio as it estimates it, and a factor that is quadratic
-in log σ (`models.calibration.Widths`). The coefficients are the likeliest ones for normal errors; the scale is then set
-so that the 90 % intervals hold the truth in 90 % of the results (conformal prediction, Vovk's quantile, with a
-normalised score). Both come from the same results and several suites observe the same clips, so the guarantee is not
-exact.
+Errors are taken to have standard deviations scale · sd^power · σ^noise · (k_d/√k_s)^damping, times a factor that is
+quadratic in log σ (`models.calibration.Widths`). Here sd and the damping ratio are the network's estimates, and σ is an
+input of the network. The coefficients are the likeliest ones for normal errors. The scale is then set
+so that 90 % intervals hold 90 % of the truths (conformal prediction, Vovk's quantile, with a normalised score). Both
+come from the same results and several suites observe the same clips, so the guarantee is not exact.
 """
 
 import math
@@ -16,15 +15,6 @@ from scipy.optimize import minimize
 
 from palpate.models.calibration import LOG_DAMPING, Widths
 
-LEVEL = 0.9
-"""Share of truths that the calibrated intervals hold."""
-RADIUS = NormalDist().inv_cdf(0.5 + LEVEL / 2)
-"""Half the width of such an interval, in standard deviations."""
-MIDDLE = 0.05, 0.95
-"""Quantiles of log σ between which widths may bend."""
-LEAST_CLIPS = 100
-"""Fewer validation estimates say too little about a 90 % quantile."""
-
 
 def fit_widths(estimates: np.ndarray, truths: np.ndarray, deviations: np.ndarray, log_noise: np.ndarray) -> Widths:
     """Factors with which 90 % intervals hold 90 % of the truths, narrow ones as often as wide ones.
@@ -32,14 +22,14 @@ def fit_widths(estimates: np.ndarray, truths: np.ndarray, deviations: np.ndarray
     Args:
         estimates, truths: log |θ|, shape [n, 3].
         deviations: the network's standard deviations of them, shape [n, 3].
-        log_noise: of the observations as the network is given it, shape [n].
+        log_noise: log σ of the observations, as the network is given it, shape [n].
 
     Raises:
         ValueError: too few results.
     """
-    if len(estimates) < LEAST_CLIPS:
-        raise ValueError(f"{len(estimates)} validation estimates; calibration needs {LEAST_CLIPS} or more.")
-    lowest, highest = (float(end) for end in np.quantile(log_noise, MIDDLE))
+    if len(estimates) < 100:
+        raise ValueError(f"{len(estimates)} validation estimates; calibration needs 100 or more.")
+    lowest, highest = map(float, np.quantile(log_noise, (0.05, 0.95)))
     distance = np.clip(log_noise, lowest, highest) - (lowest + highest) / 2
     found = []
     for error, deviation in zip((estimates - truths).T, deviations.T, strict=True):
@@ -58,8 +48,7 @@ def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
         known: shape [n, D]; a column without spread gets a coefficient of 0.
     """
     spread = known.std(axis=0)
-    # Of a column of logarithms that can have a coefficient; the noise of one suite has none.
-    used = spread > 0.1
+    used = spread > 0.1  # the noise of one suite has none
     columns = np.column_stack([np.ones(len(errors)), (known[:, used] - known[:, used].mean(axis=0)) / spread[used]])
 
     def loss(coefficients: np.ndarray) -> tuple[float, np.ndarray]:
@@ -77,5 +66,5 @@ def fit_exponents(errors: np.ndarray, known: np.ndarray) -> np.ndarray:
 def conformal_scale(errors: np.ndarray, deviations: np.ndarray) -> float:
     """Factor of standard deviations [n] that makes the 90 % intervals hold 90 % of errors [n]."""
     count = len(errors)
-    rank = min(math.ceil((count + 1) * LEVEL), count)
-    return float(np.sort(np.abs(errors) / deviations)[rank - 1] / RADIUS)
+    rank = min(math.ceil((count + 1) * 0.9), count)
+    return float(np.sort(np.abs(errors) / deviations)[rank - 1] / NormalDist().inv_cdf(0.95))

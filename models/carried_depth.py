@@ -18,10 +18,8 @@ from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh, focal_length
 from palpate.physics.msd import rollout
 
-CARRIED_RADIUS = 12
-"""Vertices up to this many rows and columns from the contact are carried [grid px]."""
-MAP_RADIUS = CARRIED_RADIUS + 3
-"""The maps in which the vertices move reach this far from the contact; tissue shifts by a few pixels [grid px]."""
+MAP_RADIUS = 15
+"""Distance from the contact to the maps' sides [grid px]."""
 MAP_SIDE = 2 * MAP_RADIUS + 1
 
 
@@ -30,14 +28,14 @@ def change(
 ) -> Tensor:
     """Change of the depth from one time of the rollout to another, shape [B, 1, H, W] [scene units].
 
-    It is computed on the CPU and given on θ's device.
+    Computed on the CPU; the result is on θ's device.
 
     Args:
         theta: [k_s, k_d, F], physical units, shape [B, 3].
         meshes: the tissue meshes at rest, on the maps' grid.
         loads: the presses of the rollout.
-        course: steps since the rollout's beginning from which and to which the depth changes, shape [B, 2], int64;
-            steps beyond the rollout's last count as the last.
+        course: first and last step of the change since the rollout's beginning, shape [B, 2], int64; steps beyond the
+            rollout's end count as its end.
         mechanics: the rollout's constants.
     """
     device, theta = theta.device, theta.cpu()
@@ -64,7 +62,8 @@ class _Surroundings:
         batch, contacts = len(meshes), [load.vertex for load in loads]
         centres = np.stack([mesh.pixels[vertex] for mesh, vertex in zip(meshes, contacts, strict=True)])
         apart = [mesh.pixels - centre for mesh, centre in zip(meshes, centres, strict=True)]
-        found = [np.flatnonzero((np.abs(own) <= CARRIED_RADIUS).all(axis=1)) for own in apart]
+        # Carried vertices shift by 3 px at most.
+        found = [np.flatnonzero((np.abs(own) <= MAP_RADIUS - 3).all(axis=1)) for own in apart]
         most = max(map(len, found))
         both = zip(found, contacts, strict=True)
         watched = np.stack([np.pad(own, (0, most - len(own)), constant_values=contact) for own, contact in both])
@@ -100,9 +99,8 @@ class _Surroundings:
         values = torch.cat([shift, moved[..., 2:]], dim=2).transpose(1, 2)
         maps = values.new_zeros(len(values), 3, MAP_SIDE * MAP_SIDE)
         maps = maps.scatter(2, self._places[:, None].expand(-1, 3, -1), values).view(-1, 3, MAP_SIDE, MAP_SIDE)
-        # The tissue that a pixel shows lay at rest where the shift leads to the pixel.
+        # The tissue that a pixel shows was at rest at the place whose shift leads to the pixel.
         origin = self._pixels
-        # Iterations that find the tissue a pixel shows.
         for _ in range(8):
             origin = self._pixels - _at(maps[:, :2], origin)
         rest = _at(self._rest, origin)

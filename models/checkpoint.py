@@ -1,4 +1,4 @@
-"""Checkpoints of the training: reading them safely, and whether a configuration still fits them."""
+"""Checkpoints of the training: reads them safely, and compares configurations with them."""
 
 import json
 import warnings
@@ -14,23 +14,14 @@ from palpate.models.onnx_session import METADATA_KEY
 from palpate.models.posterior import ContactPosterior
 from palpate.physics.mechanics import Bounds, Mechanics
 
-FIXED = (
-    *("window", "width", "residual_blocks", "decoder", "head"),
-    *("bounds.stiffness", "bounds.damping", "bounds.force"),
-    *(f"mechanics.{field.name}" for field in fields(Mechanics)),
-)
-"""Model settings that stay as they were in training: the network's shape, and the meaning of its θ."""
-
 WRITER = "train.py fit -c configs/contact.yaml"
 """The command that writes pretrained posteriors, for messages."""
 VERSION = "pytorch-lightning_version"
 """Name of Lightning's version in a checkpoint."""
-EXPORTED_PREFIX = "network."
-"""Prefix of a weight's name in an exported posterior."""
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that can't be used, in one sentence with the remedy."""
+    """Error: a checkpoint can't be used; the message is a sentence with the remedy."""
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -54,10 +45,13 @@ def require_same_model(path: Path, configured: Mapping[str, Any]) -> None:
         configured: arguments of `PhysicsInformedGAN` as nested plain values.
 
     Raises:
-        CheckpointError: the checkpoint can't be read, or one of `FIXED` differs; the message names it.
+        CheckpointError: the checkpoint can't be read, or the network's shape or the meaning of its θ differs; the
+            message names the setting.
     """
     trained = read_checkpoint(path)["hyper_parameters"]
-    for name in FIXED:
+    shape = ("window", "width", "residual_blocks", "decoder", "head")
+    meaning = ("bounds.stiffness", "bounds.damping", "bounds.force")
+    for name in (*shape, *meaning, *(f"mechanics.{field.name}" for field in fields(Mechanics))):
         was, now = _field(trained, name), _field(configured, name)
         if was != now:
             problem = f"{path} was trained with model.{name} = {was} and the configuration says {now};"
@@ -69,11 +63,11 @@ def require_same_weights(path: Path, model: Any, command: str) -> None:
 
     Args:
         path: checkpoint.
-        model: the network, a LightningModule with its optimisers.
-        command: fit, whose training goes on, validate, test or export.
+        model: LightningModule with its optimisers.
+        command: fit (which resumes a training), validate, test or export.
 
     Raises:
-        CheckpointError: weights of other names or shapes, or no state to go on from.
+        CheckpointError: weights of other names or shapes, or no state to resume from.
     """
     checkpoint = read_checkpoint(path)
     here = {name: value.shape for name, value in model.state_dict().items()}
@@ -98,7 +92,7 @@ def require_same_weights(path: Path, model: Any, command: str) -> None:
 def load_posterior(posterior: ContactPosterior, path: Path) -> None:
     """Load the weights of a file that WRITER wrote, or of an exported file, into a posterior; reading it runs no code.
 
-    The file has no projection of picture features, so the posterior's own stays. An exported calibration is left out.
+    The posterior's own projection of picture features stays, as files have none. An exported calibration is left out.
 
     Raises:
         CheckpointError: no such file, not such a file, or one of another network or box.
@@ -128,7 +122,7 @@ def _exported(path: Path) -> dict[str, torch.Tensor]:
         weights = {
             name: torch.from_numpy(onnx.numpy_helper.to_array(item).copy())
             for item in graph.initializer
-            if (name := item.name.removeprefix(EXPORTED_PREFIX)) != item.name
+            if (name := item.name.removeprefix("network.")) != item.name
         }
         box = Bounds(**json.loads(metadata[METADATA_KEY])["bounds"]).log_box
     except OSError as error:
@@ -157,7 +151,7 @@ def _read(path: Path, writer: str) -> dict[str, Any]:
 
 
 def _field(settings: Mapping[str, Any], name: str) -> Any:
-    """A nested setting by its dotted name, None where there is none; tuples as lists, so that they compare."""
+    """A nested setting by its dotted name, or None; tuples become lists, for comparison."""
     value: Any = settings
     for part in name.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None

@@ -2,16 +2,15 @@
 
     palpate train fit -c configs/contact.yaml [--data.contacts 3200 …]
 
-The loss is the evidence bound: the trajectory residual with its σ is the likelihood, the admissible box the prior (a
-Gaussian with the box's mean and variance). It reads motions, depth-change sequences and noise levels, never θ; of half
-of the presses the instants are unknown, and their delays are marginalised. A rollout costs more than the network, so
-that each epoch is a stage:
- 1. `rough`: rollouts at the network's own mean, with σ raised by a share of the motion: an under-damped response has an
+The loss is the evidence bound. Its likelihood is that of the trajectory residual with its σ, its prior a Gaussian with
+the mean and variance of the admissible box. It reads motions, depth-change sequences and noise levels, never θ. The
+instants of half of the presses are unknown, and their delays are marginalised. As a rollout costs more than the
+network, each epoch is a stage:
+ 1. `rough`: rollouts at the network's own mean, with σ raised by a share of the motion. An under-damped response has an
     optimum for every number of swings, and only a wide likelihood leads to the right one.
- 2. `fine`: every motion is explained once, by least squares from the network's estimate (or from several starts), and
-    its likelihood linearised there (exact Jacobians), so that noise, rounding and cut-off windows are drawn anew for
-    every step without a rollout. The covariance learns to include the network's own error
-    (`models.evidence.covering`).
+ 2. `fine`: least squares explain every motion once, from the network's estimate or from several starts, and the
+    likelihood is linearised there (exact Jacobians). Noise, rounding and cut-off windows are then drawn anew for every
+    step without a rollout. The covariance learns to include the network's own error (`models.evidence.covering`).
  3. `bound`: a second network learns the size of the Cramér–Rao bound at those fits, by which verdicts are given.
 """
 
@@ -41,7 +40,7 @@ class AmortisedPosterior(LightningModule):
         contact_features: length of the contact's vector; train.py takes it from the data.
         rough_rate: largest learning rate of the first stage.
         fine_rate: largest learning rate of the other two.
-        weight_decay: of AdamW.
+        weight_decay: weight decay of AdamW.
     """
 
     EXPORTED: ClassVar[str] = "posterior.pt"
@@ -54,7 +53,7 @@ class AmortisedPosterior(LightningModule):
         "accumulate_grad_batches": ((1,), "each stage steps by hand; leave it out"),
         "precision": ((None, "32", 32, "32-true"), "the likelihood is in 32 bits; give 32-true"),
     }
-    """Values of the trainer's options that work, and why no other does."""
+    """Allowed values of the trainer's options, and the reason."""
 
     def __init__(
         self, contact_features: int, rough_rate: float = 1e-3, fine_rate: float = 2e-3, weight_decay: float = 1e-4

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 class PatchDiscriminator(nn.Module):
     """Scores overlapping 70×70 patches of a depth map as real (1) or generated (0).
 
-    Four 4×4 blocks, width→2→4→8 times width. The paper says stride 2 for all four, which gives a receptive field of 94;
-    the fourth block has stride 1, which gives the 70 that the paper prints.
+    Four 4×4 blocks, width→2→4→8 times width. The paper has stride 2 for all four, which gives a receptive field of 94.
+    Here the fourth block has stride 1, which gives the paper's 70.
 
     Args:
         width: channels of the first block (the paper has 64).
@@ -32,7 +32,7 @@ class PatchDiscriminator(nn.Module):
         """Depth [B, 1, H, W] → one score a patch, shape [B, 1, H//8 − 2, W//8 − 2].
 
         Raises:
-            ValueError: a picture under 32 pixels a side, which leaves no patch.
+            ValueError: a picture under 32 pixels a side.
         """
         if min(depth.shape[2:]) < 32:
             raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; the discriminator needs 32 pixels a side.")

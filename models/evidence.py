@@ -1,13 +1,11 @@
-"""The evidence bound of contact posteriors, the physics loss of a head with uncertainty, and that of their expected
-bound.
+"""Losses of contact posteriors and of their expected bound.
 
 q(φ) = N(mean, L·Lᵀ) over φ = (log k_s, log k_d, log |F|). The likelihood of an observed motion d is N(Φ(φ), σ²),
-linearised at the mean by the rollout's exact Jacobian; the prior is the Gaussian with the mean and the variance of the
-uniform distribution over the admissible box. Nothing here reads a true θ.
+linearised at the mean by the rollout's exact Jacobian. The prior is the Gaussian with the mean and the variance of the
+uniform distribution over the admissible box. True θ is not used.
 
-The Cramér–Rao bound depends on θ, which is uncertain itself, and a posterior is narrow where the prior helps although
-the motion holds no information. So the bound, by which verdicts are given, has an estimate of its own: its median over
-contacts with equal features.
+The Cramér–Rao bound depends on θ, which is uncertain itself, and a posterior may be narrow because of the prior alone.
+So the bound, by which verdicts are given, has its own estimate: its median over contacts with equal features.
 """
 
 import math
@@ -20,9 +18,9 @@ from palpate.models.posterior import evidence_loss
 from palpate.physics.identifiability import LIMIT, RATIOS, bounds, ratio_bounds
 
 MAX_MEAN_STEP = 1.0
-"""A mean moves at most this far at once in any log-parameter, because the linearisation holds no farther."""
+"""Largest step of a mean in any log-parameter, as far as the linearisation holds."""
 MEAN_WEIGHT = 0.2
-"""Weight of the mean's gradient against the covariance's; it changes how fast the two are learnt, not their optimum."""
+"""Weight of the mean's gradient against the covariance's; it changes their speed, not their optimum."""
 
 
 def negative_evidence(
@@ -50,15 +48,14 @@ def preconditioned(
 ) -> Tensor:
     """`evidence_loss` with the prior added and every mean's gradient H·move replaced by √H·move, of a limited length.
 
-    It vanishes where the bound's own gradient does. A parameter that is known a hundred times better than another would
-    otherwise be learnt ten thousand times faster, and one badly explained contact would outweigh all others.
+    It vanishes where the bound's own gradient does. With the plain gradient, a parameter known a hundred times better
+    than another is learnt ten thousand times faster, and one badly explained contact outweighs all others.
 
     Args:
         mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
         gradient, information: derivatives of the misfits at the means, shapes [B, 3] and [B, 3, 3], constants.
         lower, upper: φ's box, shape [3].
-        whiten: False for the plain gradient, divided by the root of H's mean diagonal: early in training the best
-            known parameters may well be learnt first.
+        whiten: False = the plain gradient, divided by the root of H's mean diagonal, for the start of training.
     """
     prior, away = _prior(mean, lower, upper)
     gradient, information = gradient + away @ prior, information + prior
@@ -76,9 +73,9 @@ def preconditioned(
 def covering(mean: Tensor, factor: Tensor, best: Tensor, information: Tensor) -> Tensor:
     """Cross entropy of q and the likelihoods' own posteriors N(best, H⁻¹), the mean over the batch, up to a constant.
 
-    Over the covariance it is least at H⁻¹ plus the square of the mean's own error: one network for all contacts finds
-    none of their optima exactly, and the evidence bound, whose covariance is H⁻¹ alone, ignores that error. It is the
-    loss of neural posterior estimation (Papamakarios & Murray 2016) with draws from N(best, H⁻¹) averaged out.
+    Its optimal covariance is H⁻¹ plus the square of the mean's own error. One network for all contacts finds none of
+    their optima exactly, which the evidence bound, with H⁻¹ alone, ignores. It is the loss of neural posterior
+    estimation (Papamakarios & Murray 2016) with draws from N(best, H⁻¹) averaged out.
 
     Args:
         mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].
@@ -98,7 +95,7 @@ def box_prior(lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _prior(mean: Tensor, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
-    """The prior's precision [3, 3], and how far the means lie from its own [B, 3], constants."""
+    """The prior's precision [3, 3], and the means less its own [B, 3], constants."""
     precision, middle = box_prior(lower, upper)
     return precision, mean.detach() - middle
 
@@ -111,11 +108,11 @@ def _divergence(factor: Tensor, away: Tensor, information: Tensor, prior: Tensor
 
 
 MAX_LOG_DISTANCE = 2.0
-"""Log bounds farther than this from the limit are clipped to it: no verdict depends on them."""
+"""Largest distance of log bounds from the limit; farther ones are clipped, as no verdict depends on them."""
 
 
 def bound_loss(factor: Tensor, information: np.ndarray) -> Tensor:
-    """Mean absolute error of log bounds, which is least where they are medians.
+    """Mean absolute error of log bounds, which is least at their medians.
 
     The bounds are those of k_s, k_d, |F|, k_s/k_d and F/k_d, and the two that decide a verdict: the worst parameter's
     and the worse ratio's.

@@ -16,7 +16,7 @@ from palpate.physics.mechanics import SIGNS, Bounds
 class PictureHead(nn.Module):
     """Base of both heads: the box of θ, and the picture's features in one vector.
 
-    They come from a convolution without instance norm, which would leave the average pool nothing but zeros.
+    Their convolution has no instance norm, with which the average pool would give only zeros.
 
     Args:
         channels: number of channels of the encoder's features.
@@ -41,7 +41,7 @@ class ContactHead(PictureHead):
     """q(φ | contact, picture) for φ = (log k_s, log k_d, log |F|), and θ = (e^φ₁, e^φ₂, -e^φ₃) at its mean.
 
     Args:
-        channels, bounds: as in `PictureHead`.
+        channels, bounds: arguments of `PictureHead`.
         contact_features: length of the contact's vector.
     """
 
@@ -58,7 +58,7 @@ class ContactHead(PictureHead):
     def scaled(self, theta: Tensor) -> Tensor:
         """θ [B, 3] in physical units → its place in the box of logarithms, [0, 1] inside.
 
-        No force at all, as in the identity loss, has the place of the weakest.
+        A force of 0, as in the identity loss, has the place of the weakest.
         """
         low, high = self.posterior.lower, self.posterior.upper
         return (torch.log(theta.abs().clamp(min=torch.exp(low))) - low) / (high - low)
@@ -71,12 +71,6 @@ class ContactHead(PictureHead):
     def forward(self, features: Tensor, contact: Tensor) -> tuple[Tensor, Tensor]:
         """Features [B, C, h, w] and the contact's vector [B, contact_features] → mean [B, 3], factor L [B, 3, 3]."""
         return self.posterior(contact, self.pooled(features))
-
-
-SMALLEST_SIDE = 16
-"""Smallest height and width [pixels]: the features are a quarter of that and still leave a variance to normalise by."""
-MAX_WIDTH, MAX_BLOCKS = 256, 64
-"""Largest width and number of residual blocks; four times the paper's width has half a billion weights."""
 
 
 class HeadOutput(NamedTuple):
@@ -209,9 +203,10 @@ class Generator(nn.Module):
         contact_features: int = 0,
     ) -> None:
         super().__init__()
-        if not (channels >= 1 and 1 <= width <= MAX_WIDTH and 0 <= residual_blocks <= MAX_BLOCKS):
+        # Four times the paper's width has half a billion weights.
+        if not (channels >= 1 and 1 <= width <= 256 and 0 <= residual_blocks <= 64):
             problem = f"channels is {channels}, width {width} and residual_blocks {residual_blocks}; give 1 channel"
-            raise ValueError(f"{problem} or more, a width of 1 to {MAX_WIDTH} and 0 to {MAX_BLOCKS} blocks.")
+            raise ValueError(f"{problem} or more, a width of 1 to 256 and 0 to 64 blocks.")
         self.channels = channels
         self.encoder = nn.Sequential(
             normalised_block(nn.Conv2d(channels, width, 7, padding=3, padding_mode="reflect")),
@@ -240,8 +235,8 @@ class Generator(nn.Module):
         Raises:
             ValueError: a picture under 16 pixels a side.
         """
-        if depth.shape[2] < SMALLEST_SIDE or depth.shape[3] < SMALLEST_SIDE:
-            raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; give {SMALLEST_SIDE} pixels a side or more.")
+        if min(depth.shape[2:]) < 16:  # the features need a variance to normalise by
+            raise ValueError(f"depth is {depth.shape[2]}×{depth.shape[3]}; give 16 pixels a side or more.")
         return self.encoder(depth)
 
     def answer(self, features: Tensor, contact: Tensor | None = None) -> HeadOutput:
@@ -268,8 +263,7 @@ class Generator(nn.Module):
             features: output of `encode`, shape [B, 4·width, H//4, W//4].
             theta: [k_s, k_d, F], physical units, shape [B, 3].
             current: the current frame's depth, with decoder physics carried along by the rollout of θ, shape
-                [B, 1, H, W]; its invalid pixels (0) stay invalid, because no network can know what a hole hides and a
-                filled hole would give every fake away.
+                [B, 1, H, W]. Its invalid pixels (0) stay invalid: a filled hole would give every fake away.
 
         Returns:
             Depth in [0, 1], shape [B, 1, H, W].

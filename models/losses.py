@@ -1,9 +1,8 @@
 """The five terms of the training loss, one function each; the physics term has a second for head posterior.
 
 Source: Bini 2026, section 3.4.2. Depth is in [0, 1], normalised by the clip's fixed scale; 0 marks a pixel without a
-measurement. Such pixels are left out of every reconstruction term: a difference to "unknown" is not an error.
-A term that belongs to one generator is added over the two directions of time, and the cycle term, which both generators
-share, carries the paper's ½: each generator is then trained with exactly the paper's weights.
+measurement, which no reconstruction term counts. A term of one generator is added over both directions of time, and the
+cycle term, which both share, carries the paper's ½: each generator is trained with exactly the paper's weights.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,7 +52,7 @@ def total(terms: Mapping[str, Tensor], weights: LossWeights) -> Tensor:
 
 
 def generator_adversarial_loss(fake_scores: Tensor) -> Tensor:
-    """E[(D(G) − 1)²]: the generator wants its patches called real (Bini 2026, equation 11, least squares)."""
+    """E[(D(G) − 1)²], the generator's term (Bini 2026, equation 11, least squares)."""
     return (fake_scores - 1).square().mean()
 
 
@@ -115,12 +114,12 @@ def posterior_physics_loss(
 
     Args:
         mean, factor: mean and covariance factor of the posterior of φ, shapes [B, 3] and [B, 3, 3].
-        meshes, loads, mechanics: as in `physics_loss`.
-        dents: observed depth of the tissue around every contact; what its pixels show is decided at its own mean.
+        meshes, loads, mechanics: arguments of `physics_loss`.
+        dents: observed depth of the tissue around every contact; pixels are assigned to tissue at its own mean.
         box: φ's lower and upper bounds, shape [3] each.
 
     Returns:
-        The bound [nats], a scalar on the means' device, and the Fisher information at the means, shape [B, 3, 3], a
+        The bound [nats], a scalar on the means' device; the Fisher information at the means, shape [B, 3, 3], a
         constant on the CPU.
     """
     theta = torch.exp(mean.detach().to("cpu", torch.float64))

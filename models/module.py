@@ -30,15 +30,11 @@ from palpate.models.step import TERMS, Step, precise
 from palpate.physics.mechanics import PARAMETERS, Bounds, Mechanics
 from palpate.physics.msd.batch import PairBatch
 
-UNTRAINED = "picture.weight", "picture.bias"
-"""Parameters of a pretrained posterior that its file does not hold."""
-TEST_ERRORS = ("error_predicted", "error_reference", "next_depth_error", "copy_error")
-"""Errors of `models.records.pair_records`, those whose means are logged."""
 Own = TypeVar("Own")
 
 
 class TrainingDiverged(ValueError):
-    """A loss is no longer a finite number."""
+    """Error: a loss is not finite."""
 
 
 class PhysicsInformedGAN(LightningModule):
@@ -53,20 +49,19 @@ class PhysicsInformedGAN(LightningModule):
         window: frames in the input window, K.
         width: channels of the networks' first layer.
         residual_blocks: residual blocks of each decoder.
-        decoder: direct (paper): the next depth map from features and θ alone; physics: as a change of the current one
-            carried along by the rollout of θ.
-        head: parameters (paper): θ from the window, trained by the squared displacement error; posterior: θ with its
+        decoder: direct (paper): the next depth map from features and θ alone. physics: from the current one carried
+            along by the rollout of θ.
+        head: parameters (paper): θ from the window, trained by the squared displacement error. posterior: θ with its
             covariance from the contact's motion and the window, trained by the evidence bound.
         contact_features: length of the contact's vector, for head posterior; train.py takes it from the data.
-        pretrained: weights of head posterior that configs/contact.yaml trained or
-            `palpate.estimators.network.calibration` exported, loaded before training; shipped: those that
-            come with the program.
+        pretrained: weights of head posterior, loaded before training, that configs/contact.yaml trained or
+            `palpate.estimators.network.calibration` exported; shipped: those of the program.
         pretrained_rate: share of `learning_rate` at which pretrained heads are trained on; 0 keeps them as they are.
         bounds: admissible box of θ.
         mechanics: constants of the rollout.
         weights: λ of the five loss terms; a term of weight 0 is not computed, and without gan no discriminator trains.
-        noise: standard deviation of Gaussian noise on every valid pixel of the windows that enter the networks in
-            training [scene units]; the depth maps in the losses stay without it, and 0 is none.
+        noise: standard deviation of Gaussian noise on valid pixels of the networks' windows in training [scene units];
+            the losses' depth maps have none.
         learning_rate: Adam's rate, for all three optimisers.
         betas: Adam's momentum coefficients.
     """
@@ -76,8 +71,8 @@ class PhysicsInformedGAN(LightningModule):
         {"filename": "epoch_{epoch:03d}", "every_n_epochs": 10, "save_top_k": -1, "save_on_train_epoch_end": True},
         {"filename": "last", "every_n_epochs": 1, "save_on_train_epoch_end": True},
     ]
-    """Arguments of Lightning's ModelCheckpoint (Bini 2026, section 3.5). `save_last` would follow the best checkpoint
-    only, so `last` is a checkpoint of its own; it comes last because it holds the others' state."""
+    """Arguments of Lightning's ModelCheckpoint (Bini 2026, section 3.5). `last` isn't `save_last`, which would follow
+    the best one only, and comes last because it holds the others' state."""
     REFUSED: ClassVar[dict[str, tuple[tuple, str]]] = {
         "gradient_clip_val": ((None, 0), "three optimisers step by hand; lower model.learning_rate instead"),
         "accumulate_grad_batches": ((1,), "three optimisers step by hand; raise data.loading.batch_size instead"),
@@ -90,7 +85,7 @@ class PhysicsInformedGAN(LightningModule):
             "three optimisers step in turn, and files are written by the first process; give auto or ddp",
         ),
     }
-    """Values of the trainer's options that work, and why no other does."""
+    """Allowed values of the trainer's options, and the reason."""
 
     def __init__(
         self,
@@ -143,7 +138,7 @@ class PhysicsInformedGAN(LightningModule):
         self._validated: list[Tensor] = []
 
     def setup(self, stage: str) -> None:
-        """Let several processes look for parameters without gradient: a backward pass reaches a part of them only."""
+        """Let several processes look for parameters without gradient, as each backward pass has some."""
         if isinstance(self.trainer.strategy, DDPStrategy):
             self.trainer.strategy._ddp_kwargs["find_unused_parameters"] = True
 
@@ -159,7 +154,7 @@ class PhysicsInformedGAN(LightningModule):
                 load_posterior(generator.posterior, path)
 
     def on_train_start(self) -> None:
-        """Go on with the rates of the configuration, where a checkpoint's optimisers brought those of its own."""
+        """Set the configuration's rates in place of a checkpoint's."""
         for optimizer, chosen in zip(self.trainer.optimizers, self.configure_optimizers(), strict=True):
             for group, wanted in zip(optimizer.param_groups, chosen.param_groups, strict=True):
                 group.update(lr=wanted["lr"], betas=wanted["betas"])
@@ -168,13 +163,14 @@ class PhysicsInformedGAN(LightningModule):
         """One Adam for both generators, one for each discriminator (Bini 2026, section 3.5).
 
         A pretrained head starts near its optimum, where the gradient of a small batch is mostly noise. Adam's steps do
-        not shrink with the gradient, so that its full rate would carry the head away; see `pretrained_rate`. What takes
-        the picture to it is new, and learns at the full rate.
+        not shrink with the gradient, so it has a smaller rate (`pretrained_rate`). Its projection of the picture is new
+        and learns at the full rate.
         """
         generators: list[Any] = [*self.generator_ab.parameters(), *self.generator_ba.parameters()]
         if self.pretrained is not None:
             posteriors = self.generator_ab.posterior, self.generator_ba.posterior
-            heads = [values for each in posteriors for name, values in each.named_parameters() if name not in UNTRAINED]
+            named = [pair for each in posteriors for pair in each.named_parameters()]
+            heads = [values for name, values in named if not name.startswith("picture.")]  # files lack those
             known = {id(parameter) for parameter in heads}
             generators = [
                 {"params": [parameter for parameter in generators if id(parameter) not in known]},
@@ -184,7 +180,7 @@ class PhysicsInformedGAN(LightningModule):
         return [torch.optim.Adam(group, lr=self.learning_rate, betas=self.betas) for group in groups]
 
     def generator_losses(self, batch: PairBatch) -> tuple[dict[str, Tensor], Step]:
-        """Unweighted terms of a batch by the names of their weights, scalars, and what they were computed from."""
+        """Unweighted terms of a batch by the names of their weights, scalars, and the quantities behind them."""
         windows = batch.a.window, batch.b.window
         step = Step(self, batch, [self._augmented(window, direction) for direction, window in enumerate(windows)])
         return step.terms(self.weights), step
@@ -240,7 +236,7 @@ class PhysicsInformedGAN(LightningModule):
         """Join the records of all processes, in one process's order, and log their mean errors."""
         turns = zip_longest(*self._of_all(self.test_records))  # the sampler deals the pairs out in turn
         self.test_records = [record for turn in turns for record in turn if record is not None]
-        for name in TEST_ERRORS:
+        for name in ("error_predicted", "error_reference", "next_depth_error", "copy_error"):
             mean = sum(record[name] for record in self.test_records) / len(self.test_records)
             self.log(f"test/{name}", mean, sync_dist=True)
 
@@ -249,8 +245,8 @@ class PhysicsInformedGAN(LightningModule):
 
         Args:
             output: file to write.
-            datamodule: preparation settings, which go into the file's metadata.
-            configuration: the training's, whose hash goes there.
+            datamodule: source of the preparation settings in the file's metadata.
+            configuration: text of the training's configuration, whose hash goes into the metadata.
 
         Returns:
             A sentence that names the file and the largest difference of its output from torch's.
@@ -263,7 +259,7 @@ class PhysicsInformedGAN(LightningModule):
         return f"{output}: written; largest difference from torch over batches of 1, 2 and 7 is {difference:.1e}"
 
     def _log_theta(self, stage: str) -> None:
-        """Log mean and standard deviation of θ_AB over the epoch's pairs: a spread near 0 is the sign of collapse."""
+        """Log mean and standard deviation of θ_AB over the epoch's pairs; a spread near 0 shows a collapse."""
         if not self._theta[stage]:
             return
         theta = torch.cat(self._of_all(torch.cat(self._theta[stage]).cpu()))
@@ -291,7 +287,7 @@ class PhysicsInformedGAN(LightningModule):
     def _augmented(self, window: Tensor, direction: int) -> Tensor:
         """The window [B, K, H, W] with the noise of training, its invalid pixels (0) as they are.
 
-        The seed follows the step, and the global random state is left as it was, so that resuming is exact.
+        The seed follows the step, and the global random state doesn't change, so that resuming is exact.
         """
         if self.noise is None:
             return window
@@ -321,5 +317,5 @@ class PhysicsInformedGAN(LightningModule):
 
 
 def _settings(kind: type[Own], given: Own | Mapping[str, Any]) -> Own:
-    """Settings as they are, or made of the plain values that a checkpoint holds."""
+    """Settings, if need be from the plain values of a checkpoint."""
     return kind(**given) if isinstance(given, Mapping) else given

@@ -1,9 +1,8 @@
 """Trained network → one ONNX file with all metadata for inference; it appears only when it agrees with torch.
 
-Of a generator the encoder and the parameter head are exported, of a contact posterior the posterior itself and the
-covariance of its expected bound; a posterior that is a generator's head takes the depth window in addition to the
-contact's vector. `calibrate` gives the standard deviations of any exported posterior, however it was trained, the right
-coverage within the file itself: nothing but the file is needed.
+A generator's file has the encoder and the parameter head, a contact posterior's file the posterior and the covariance
+of its expected bound. A posterior that is a generator's head takes the depth window in addition to the contact's
+vector. `calibrate` gives the standard deviations of any exported posterior the right coverage within the file itself.
 """
 
 import logging
@@ -40,23 +39,16 @@ from palpate.models.onnx_session import (
 )
 from palpate.models.posterior import ContactPosterior
 
-PARITY_BATCHES = (1, 2, 7)
 PARITY_TOLERANCE = 1e-5
-UNITS = {
-    "stiffness": "scene units (normalised), not N/m",
-    "damping": "scene units (normalised), not N·s/m",
-    "force": "scene units (normalised), not N; negative presses into the tissue",
-    "displacement": "scene units: depth divided by the clip's one fixed scale",
-    "time": "s",
-}
+"""Largest difference from torch."""
 
 
 class ParityError(RuntimeError):
-    """The exported file computes something else than the network from which it was made."""
+    """Error: the exported file gives other numbers than its network."""
 
 
 class _Parameters(nn.Module):
-    """The part of a generator that runs at inference."""
+    """Part of a generator that runs at inference."""
 
     kind = ParameterModel
 
@@ -108,21 +100,28 @@ def export(network: Generator | ContactPosterior, output: Path, metadata: dict[s
     Args:
         network: trained G_AB, or a posterior alone.
         output: file to write; it appears only when it is complete and agrees with torch.
-        metadata: JSON-able entries in addition to those written here (format version, kind, units, program versions);
-            must hold `input` (window, height, width).
+        metadata: JSON-able entries in addition to format version, kind, units and program versions, `input` (window,
+            height, width) among them.
 
     Returns:
-        Largest difference of the outputs over batches of 1, 2 and 7. For the expected bound's covariance, which is
-        large where nothing is known, the difference is relative where numbers are above 1.
+        Largest difference of the outputs over batches of 1, 2 and 7; that of the expected bound's covariance is
+        relative where numbers are above 1.
 
     Raises:
         ForeignFile: `output` is not as this program wrote it.
         ParityError: the difference is over 1e-5.
     """
     versions = {package.__name__: package.__version__ for package in (torch, onnx, onnxruntime)}
+    units = {
+        "stiffness": "scene units (normalised), not N/m",
+        "damping": "scene units (normalised), not N·s/m",
+        "force": "scene units (normalised), not N; negative presses into the tissue",
+        "displacement": "scene units: depth divided by the clip's one fixed scale",
+        "time": "s",
+    }
     document: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
-        "units": UNITS,
+        "units": units,
         "versions": {"python": platform.python_version(), **versions},
     }
     if isinstance(network, Generator) and isinstance(network.head, ParameterHead):
@@ -146,8 +145,11 @@ def write(
     """Write a graph with its metadata to a file that appears only when it is complete and agrees with torch.
 
     Args:
+        model: graph.
+        document: metadata.
+        output: file to write.
         difference_of: the file's largest difference from torch, which is returned.
-        tolerance: the largest that counts as agreement; None = PARITY_TOLERANCE.
+        tolerance: largest difference that is allowed; None = PARITY_TOLERANCE.
 
     Raises:
         ForeignFile, ParityError: as in `export`, or its numbers are not finite.
@@ -170,7 +172,7 @@ def write(
 def parity(network: _Parameters | _Posterior, model: ExportedModel, window: tuple[int, int, int]) -> float:
     """Largest difference between torch and the file over batches of 1, 2 and 7."""
     largest = 0.0
-    for batch in PARITY_BATCHES:
+    for batch in (1, 2, 7):
         inputs = network.examples(batch, window)
         with torch.inference_mode():
             expected = [values.numpy() for values in network(*inputs.values())]
@@ -199,14 +201,8 @@ def to_onnx(network: nn.Module, inputs: dict[str, Tensor], outputs: Sequence[str
     return model
 
 
-NAME_PREFIX = "calibration/"
-"""Prefix of the names of nodes that calibration adds to a file."""
-UNCALIBRATED = f"{NAME_PREFIX}own"
-"""Name within a calibrated file of the network's own covariance."""
-
-
 class Widening(nn.Module):
-    """Calibrates the standard deviations of covariances, by the contacts' vectors and the means."""
+    """Calibration of the standard deviations of covariances, by the contacts' vectors and the means."""
 
     def __init__(self, calibration: Calibration) -> None:
         super().__init__()
@@ -254,12 +250,14 @@ def calibrate(source: Path, output: Path, calibration: Calibration) -> float:
     given = [inputs[name].numpy() for name in (CONTACT, INPUT) if name in inputs]
     mean, own, _ = (torch.from_numpy(values).float() for values in plain(*given))
     model = onnx.load(source)
-    # What widens it makes the covariance; the network's own gets another name.
+    # The network's own covariance gets another name, and that of the added nodes its name.
+    prefix = "calibration/"
+    uncalibrated = f"{prefix}own"
     for node in model.graph.node:
         for names in (node.input, node.output):
-            names[:] = [UNCALIBRATED if name == LOG_COVARIANCE else name for name in names]
-    added = to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, UNCALIBRATED: own}, (LOG_COVARIANCE,))
-    added = onnx.compose.add_prefix(added, NAME_PREFIX, rename_inputs=False, rename_outputs=False)
+            names[:] = [uncalibrated if name == LOG_COVARIANCE else name for name in names]
+    added = to_onnx(widening, {CONTACT: contact, LOG_MEAN: mean, uncalibrated: own}, (LOG_COVARIANCE,))
+    added = onnx.compose.add_prefix(added, prefix, rename_inputs=False, rename_outputs=False)
     model.graph.node.extend(added.graph.node)
     model.graph.initializer.extend(added.graph.initializer)
 

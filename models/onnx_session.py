@@ -25,18 +25,16 @@ SHIPPED = Path(__file__).resolve().parent / "weights" / "contact.onnx"
 METADATA_KEY = "palpate"
 """Key of the custom metadata entry that holds everything inference needs, as one JSON document."""
 FORMAT_VERSION = 1
-"""Version of that document's layout; raised when a reader of the old layout would misread the new one."""
+"""Version of that document's layout; raised if readers of the old layout would misread the new one."""
 POSTERIOR = "posterior"
 """Value of the document's `head` for a `PosteriorModel`."""
-INPUT, OUTPUT = "depth", "theta"
+INPUT = "depth"
 CONTACT, LOG_MEAN, LOG_COVARIANCE = "contact", "log_mean", "log_covariance"
 EXPECTED_BOUND = "decisive_covariance"
-"""Covariance by which verdicts are given, of `models.posterior.ExpectedBound`, under the name it has in files."""
+"""Name in files of the covariance of `models.posterior.ExpectedBound`, by which verdicts are given."""
 
-_SIZES = range(1, 4097)
-"""Allowed sizes of the depth window: frames, and pixels along a side."""
 _FIELDS: dict[str, Any] = {
-    "input": dict.fromkeys(("window", "height", "width"), _SIZES),
+    "input": dict.fromkeys(("window", "height", "width"), range(1, 4097)),
     **dict.fromkeys(("bounds", "mechanics", "geometry", "classes"), dict),
     "depth": {"source": str},
     **dict.fromkeys(("head", "observation", "masks"), str),
@@ -52,7 +50,7 @@ _FIELDS: dict[str, Any] = {
 
 
 class ModelFileError(ValueError):
-    """A model file that can't be used, in one sentence with the remedy."""
+    """Error: a model file can't be used; the message is a sentence with the remedy."""
 
 
 class ExportedModel:
@@ -60,12 +58,12 @@ class ExportedModel:
 
     Args:
         path: the file.
-        threads: CPU threads for one call; None leaves the choice to ONNX Runtime.
-        device: where it runs, one of `palpate.common.onnx_devices.DEVICES`.
+        threads: CPU threads for one call; None = ONNX Runtime's choice.
+        device: one of `palpate.common.onnx_devices.DEVICES`.
 
     Raises:
-        ModelFileError: the file is missing, is no ONNX file, was not exported by this program or is of another kind,
-            has metadata that can't be used, or is newer than this program; or there is no such device.
+        ModelFileError: the file is missing, no ONNX file, of another program or kind, newer than this program, or its
+            metadata can't be used; or there is no such device.
     """
 
     outputs: tuple[str, ...] = ()
@@ -74,7 +72,7 @@ class ExportedModel:
     def __init__(self, path: str | Path, threads: int | None = None, device: str = AUTO) -> None:
         self.path = Path(path)
         self._session, self.sha256 = _open_session(self.path, threads, device)
-        """`sha256` is the hash of the content that was opened, whatever happens to the file later."""
+        """`sha256` is the hash of the opened content, even if the file changes later."""
         self.metadata: dict[str, Any] = _read_metadata(self.path, self._session)
         """Everything the export wrote: bounds, units, mechanics, preprocessing settings, calibration and versions."""
         size = self.metadata["input"]
@@ -95,7 +93,7 @@ class ExportedModel:
 
         Raises:
             ValueError: an input is missing or has another shape.
-            ModelFileError: the network fails, takes more memory than there is, or gives a number that is not finite.
+            ModelFileError: the network fails, needs too much memory, or gives a number that is not finite.
         """
         for name, shape in self.inputs.items():
             actual = np.asarray(values[name]).shape
@@ -113,7 +111,7 @@ class ExportedModel:
         return found
 
     def _require(self, inputs: dict[str, tuple[int, ...]]) -> None:
-        """Compare the graph's inputs and outputs with what the kind and the metadata promise."""
+        """Compare the graph's inputs and outputs with those of the kind and the metadata."""
         outputs = [value.name for value in self._session.get_outputs()]
         batches = [value.shape[0] for value in self._session.get_inputs() if value.shape]
         if any(isinstance(batch, int) for batch in batches):
@@ -129,7 +127,7 @@ class ExportedModel:
 class ParameterModel(ExportedModel):
     """Encoder and parameter head of a trained generator: windows of depth maps → θ."""
 
-    outputs = (OUTPUT,)
+    outputs = ("theta",)
 
     def __init__(self, path: str | Path, threads: int | None = None, device: str = AUTO) -> None:
         super().__init__(path, threads, device)
@@ -158,13 +156,13 @@ class PosteriorModel(ExportedModel):
     def __init__(self, path: str | Path, threads: int | None = None, device: str = AUTO) -> None:
         super().__init__(path, threads, device)
         self.takes_depth = INPUT in self.inputs
-        """Whether the network takes the depth window as well."""
+        """True if the network takes the depth window as well."""
         depth = {INPUT: (self.window, *self.input_size)} if self.takes_depth else {}
         self._require({CONTACT: (self.inputs.get(CONTACT) or (0,))[:1]} | depth)
         whole = self.metadata.get("calibration", {}).get("whole", {})
         plain = json.loads(as_json(asdict(Widths())))
         self.calibrated = plain | whole != plain
-        """Whether its standard deviations are calibrated."""
+        """True if its standard deviations are calibrated."""
 
     def __call__(
         self, contact: np.ndarray, depth: np.ndarray | None = None
@@ -176,8 +174,8 @@ class PosteriorModel(ExportedModel):
             depth: depth windows, shape [B, K, H, W], where the model takes them.
 
         Returns:
-            Of (log k_s, log k_d, log |F|): mean [B, 3], calibrated covariance [B, 3, 3], and the covariance [B, 3, 3]
-            of the expected Cramér–Rao bound, by which the verdict is given; float64.
+            Mean [B, 3] and calibrated covariance [B, 3, 3] of (log k_s, log k_d, log |F|), and the covariance [B, 3, 3]
+            of their expected Cramér–Rao bound, by which the verdict is given; float64.
 
         Raises:
             ValueError: another shape.
@@ -213,7 +211,7 @@ def _open_session(path: Path, threads: int | None, device: str) -> tuple[onnxrun
 
 
 def _read_metadata(path: Path, session: onnxruntime.InferenceSession) -> dict[str, Any]:
-    """The document that the export wrote into a file.
+    """Document that the export wrote into a file.
 
     Raises:
         ModelFileError: the file lacks the document, is newer than this program, or has a field that can't be used.

@@ -1,7 +1,7 @@
 """Amortised posterior of one contact: mean and covariance of (log k_s, log k_d, log |F|) given its observation.
 
-A residual network on the contact's features (`data.contact.features`); a picture's features may be added through a
-projection that starts at zero, so that it changes nothing until it helps.
+A residual network on the contact's features (`data.contact.features`). A picture's features may be added through a
+projection that starts at zero.
 """
 
 import math
@@ -11,10 +11,8 @@ from torch import Tensor, nn
 
 from palpate.physics.identifiability import LIMIT
 
-LOG_SD_RANGE = (-5.0, 1.0)
-"""Diagonal of a covariance's factor, in logarithms: standard deviations between 0.7 % and a factor e^2.7."""
 FACTOR_NUMBERS = 6
-"""Count of numbers that make a factor of a covariance: its diagonal's logarithms, and its slopes."""
+"""Count of numbers in a factor of a covariance: its diagonal's logarithms, and its slopes."""
 
 
 class ResidualLayer(nn.Module):
@@ -31,10 +29,9 @@ class ResidualLayer(nn.Module):
 def covariance_factor(raw: Tensor) -> Tensor:
     """Lower triangular L of the covariance L·Lᵀ, shape [B, 3, 3], from a network's numbers [B, FACTOR_NUMBERS].
 
-    What stands below the diagonal counts in units of its column's, so that a correlation is one number whatever the
-    size.
+    Numbers below the diagonal are in units of their column's diagonal, so that a correlation doesn't depend on scale.
     """
-    diagonal = torch.exp(raw[:, :3].clamp(*LOG_SD_RANGE))
+    diagonal = torch.exp(raw[:, :3].clamp(-5, 1))  # standard deviations between 0.7 % and a factor e^2.7
     places = torch.eye(9)[[3, 6, 7]].view(3, 3, 3).to(raw)  # of the three below the diagonal, row by row
     return (torch.eye(3).to(raw) + torch.einsum("bk,kij->bij", raw[:, 3:], places)) * diagonal[:, None]
 
@@ -42,22 +39,21 @@ def covariance_factor(raw: Tensor) -> Tensor:
 class ExpectedBound(nn.Module):
     """Factor L of a covariance L·Lᵀ whose standard deviations are about the medians of the Cramér–Rao bounds.
 
-    The bounds are those of k_s, k_d, |F| and of the ratios k_s/k_d and F/k_d, between 0.07 and 2.7. Nothing else about
-    the covariance is learnt: its other directions mean nothing.
+    The bounds are those of k_s, k_d, |F| and of the ratios k_s/k_d and F/k_d, between 0.07 and 2.7. Other directions
+    of the covariance are not learnt.
 
     Args:
         features: length of the contact's vector.
-        width: size of the hidden layers.
-        blocks: number of residual layers.
     """
 
-    def __init__(self, features: int, width: int = 128, blocks: int = 2) -> None:
+    def __init__(self, features: int) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            nn.Linear(features, width),
-            *(ResidualLayer(width) for _ in range(blocks)),
-            nn.LayerNorm(width),
-            last := nn.Linear(width, FACTOR_NUMBERS),
+            nn.Linear(features, 128),
+            ResidualLayer(128),
+            ResidualLayer(128),
+            nn.LayerNorm(128),
+            last := nn.Linear(128, FACTOR_NUMBERS),
         )
         with torch.no_grad():
             last.weight.mul_(0.1)
@@ -126,9 +122,8 @@ def evidence_loss(mean: Tensor, factor: Tensor, gradient: Tensor, information: T
     """Negative evidence bound of Gaussian posteriors, up to a constant, with the likelihood linearised at the mean.
 
     The loss is -E_q[log p(d|φ)] + KL(q‖prior) for d = Φ(φ) + noise, with Φ linear within the posterior's width. Its
-    gradient by the mean is that of misfit and prior; its gradient by the covariance Σ is that of
-    ½ tr(ΣH) - ½ log det Σ, with H the Fisher information plus the prior's precision. The rollout's exact Jacobian gives
-    both, so no sampling is needed.
+    gradient by the mean is that of misfit and prior, that by the covariance Σ is that of ½ tr(ΣH) - ½ log det Σ, with H
+    the Fisher information plus the prior's precision. The rollout's exact Jacobian gives both without sampling.
 
     Args:
         mean, factor: mean and covariance factor L of q, shapes [B, 3] and [B, 3, 3].

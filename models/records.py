@@ -1,4 +1,4 @@
-"""The records that `train.py test` makes of every pair of frames, for the tables and figures of `results.paper`."""
+"""Records of every pair of frames by `train.py test`, for the tables and figures of `results.paper`."""
 
 import math
 from typing import Any
@@ -38,12 +38,15 @@ def pair_records(batch: PairBatch, generator: Generator, mechanics: Mechanics) -
         mechanics: the rollout's constants.
 
     Returns:
-        Dictionaries with: `clip` (name), `frame` (index of t), `theta` [3] (physical units), `trajectory` and
-        `reference_trajectory` [T, 3] (contact vertex under θ, and under the literature's k_s, k_d with the same F
-        [scene units]), `mesh`, `load` and `observation` (the simulation's input, and the observed motion),
-        `error_predicted`, `error_reference` (squared displacement errors [scene units²]), `next_depth_error`,
-        `copy_error` (mean |Δz| of G_AB's picture, and of D_t itself, against D_t+1, over pixels valid in both), and
-        `theta_sensitivity` (mean |Δz| of the picture when θ moves to the box's farthest corner).
+        Dictionaries with:
+        `clip` (name), `frame` (index of t), `theta` [3] (physical units);
+        `trajectory`, `reference_trajectory` [T, 3]: contact vertex under θ, and under the literature's k_s and k_d with
+        the same F [scene units];
+        `mesh`, `load`, `observation`: the simulation's input, and the observed motion;
+        `error_predicted`, `error_reference`: squared displacement errors [scene units²];
+        `next_depth_error`, `copy_error`: mean |Δz| of G_AB's picture, and of D_t itself, against D_t+1, over pixels
+        valid in both;
+        `theta_sensitivity`: mean |Δz| of the picture when θ moves to the box's farthest corner.
     """
     one = Pass(generator, batch.a, mechanics)
     meshes, loads, observation = batch.a.meshes, batch.a.loads, batch.a.observation

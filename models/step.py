@@ -1,4 +1,4 @@
-"""A training step of the GAN: its quantities, each computed when a loss term first asks for it, and the terms.
+"""A training step of the GAN: its lazily computed quantities, and the loss terms.
 
 A term is a function of a `Step`, registered under its own name, which is also that of its weight in `LossWeights`.
 Those of one generator are added over both directions of time; the cycle, which both share, carries the paper's ½.
@@ -21,7 +21,7 @@ from palpate.physics.msd.batch import Direction, PairBatch
 
 
 def precise(device: torch.device) -> torch.autocast:
-    """A context without a mixed precision's 16 bits: they overflow in a rollout, and shift φ visibly."""
+    """Context without a mixed precision's 16 bits, which overflow in a rollout and shift φ visibly."""
     return torch.autocast(device.type, enabled=False)
 
 
@@ -54,7 +54,7 @@ class Pass:
             return self.generator.answer(self.features.float(), self.given.contact_features)
 
     def change_under(self, theta: Tensor) -> Tensor | None:
-        """Change of the depth by the rollout of θ, shape [B, 1, H, W]; None for a decoder that starts without it."""
+        """Change of the depth by the rollout of θ, shape [B, 1, H, W]; None for decoder direct."""
         if self.generator.decoder.kind != "physics":
             return None
         given = self.given
@@ -67,7 +67,7 @@ class Pass:
         return self.change_under(self.answer.theta)
 
     def next_map(self, theta: Tensor, change: Tensor | None) -> Tensor:
-        """The next depth map under θ and the change that it makes, shape [B, 1, H, W]."""
+        """The next depth map under θ and its change, shape [B, 1, H, W]."""
         return self.generator.decode(self.features, theta, shifted(self.real, change))
 
     @cached_property
@@ -78,14 +78,14 @@ class Pass:
     def back(self, fake: Tensor) -> Tensor:
         """The map that follows another direction's fake [B, 1, H, W].
 
-        The fake takes the current frame's place among the *real* earlier frames of this direction's window. The other
-        window with the fake appended would show the cycle's target to the network that must find it.
+        The fake replaces the current frame in this direction's window of *real* frames. The other direction's window
+        holds the cycle's target.
         """
         start = shifted(fake, self.change)
         return self.generator.generate(with_current(self.window, fake), self.answer.theta, start)
 
     def unchanged(self) -> Tensor:
-        """The map under no force, which the simulator leaves as it is, shape [B, 1, H, W]."""
+        """The map without force, which the simulator leaves unchanged, shape [B, 1, H, W]."""
         return self.next_map(losses.null_parameters(self.answer.theta), None)
 
     def physics(self, learns_bound: bool) -> Tensor:
@@ -94,8 +94,8 @@ class Pass:
         The evidence counts the frames up to the sample's own, since the posterior had no later ones as input.
 
         Args:
-            learns_bound: whether the expected bound behind the verdicts is learnt at the same time, from the
-                information at the mean. How often such verdicts are right was not measured.
+            learns_bound: True = the expected bound is learnt at the same time, from the information at the mean. How
+                often its verdicts are right was not measured.
         """
         given, (theta, mean, factor) = self.given, self.answer
         if mean is None or factor is None:

@@ -3,7 +3,7 @@
 mechanics        constants of the simulator, θ and its admissible box
 mesh             the tissue surface: vertices, springs, held rim, contact vertex and normal; matrices of springs
 load             how a tool acts on a mesh: Press or Grip
-observation      what was observed of followed points; linearised likelihoods
+observation      observed motion of tracked points; linearised likelihoods
 patches          which vertices the pixels around a contact show while the tissue moves
 depth            the depth of the tissue around a contact: errors and likelihood
 likelihood       how well a θ explains an observation, and its derivatives

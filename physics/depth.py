@@ -1,4 +1,4 @@
-"""Depth of the tissue around a contact against a motion: what is observed, what errors are expected, the likelihood.
+"""Depth of the tissue around a contact against a motion: observations, expected errors, and the likelihood.
 
 What a pixel shows at a motion is `physics.patches`'; it is decided for a motion near the best and then kept.
 Errors are new in every frame, or stay where tissue is still and turn with it like a sawtooth where depth is rounded
@@ -20,28 +20,20 @@ from palpate.physics.mesh import Mesh
 from palpate.physics.observation import CommonErrors, Linearised
 from palpate.physics.patches import REACH, Patches
 
-ROUNDED = 0.5
-"""Errors that stay belong to rounding where those that are new are less than this share of them."""
 REST_SHARE, REST_LENGTH = 0.1, 5.0
 """Standard deviation of the rest surface's error [σ], and its correlation length [grid pixels]."""
 REST_KEPT = 0.99
-"""Share of its variance that is taken into account."""
+"""Share of the rest surface's variance that `smooth_errors` keeps."""
 OUTLIER = 4.0
-"""Residuals of more than this many standard deviations count as if they had as many."""
-MOVED, SEVERAL = 3.0, 3
-"""Pixels that move by more than so many standard deviations say how well the model explains the motion: in any frame by
-the model, or in so many by what is observed, as one outlier is no motion."""
+"""Largest residual that counts in full: larger ones are weighted down to it [σ]."""
+MOVED = 3.0
+"""Least change of a pixel that moves, which counts for the misfit [σ]."""
 STILL_NEW = 0.05
-"""Share of the errors that stay which is taken to be new in every frame: nothing stays exactly."""
+"""Share of the staying errors' variance that is new in every frame: nothing stays exactly."""
 WALL = 0.08
 """Standard deviation of a pixel's error at a dent's wall, as a share of how much its neighbours differ from it."""
 PARTIAL = 0.3
 """Standard deviation beside what an instrument hides: there a pixel of the grid is the mean of a part of its area."""
-STEP = math.sqrt(12)
-"""Rounding step whose error has a standard deviation of σ [σ]."""
-ROUNDING_REACH, INDEPENDENT = 3.0, 0.2
-"""Depths farther apart than the first are taken to correlate less than the theory says [steps]; the second is the share
-of the rounding errors' variance that is taken to be independent."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +41,18 @@ class SequenceNoise:
     """Errors of the depth of a clip's tissue."""
 
     in_time: float
-    """Standard deviation of what is new in every frame [scene units]."""
+    """Standard deviation of the error that is new in every frame [scene units]."""
     in_place: float
-    """Standard deviation of what stays while tissue is still: rounding, the rest surface's error [scene units]."""
+    """Standard deviation of the error that stays while tissue is still: rounding, the rest surface [scene units]."""
     correlated_in_time: float = 1.0
-    """Independent pixels are this many times fewer than pixels: neighbours' new errors go together."""
+    """Number of pixels that count as one, for errors that are new: those of neighbours are correlated."""
     correlated_in_place: float = 1.0
     """Number of pixels that count as one, for errors that stay."""
 
     @property
     def rounded(self) -> bool:
-        """Whether they are those of rounding: hardly any is new while tissue is still."""
-        return self.in_time < ROUNDED * self.in_place
+        """True if the errors are those of rounding: hardly any is new while tissue is still."""
+        return self.in_time < 0.5 * self.in_place
 
     @property
     def total(self) -> float:
@@ -75,14 +67,14 @@ class DepthSequence:
     times: np.ndarray
     """Times since the onset, shape [N] [s]."""
     change: np.ndarray
-    """Depth less that at rest, the camera's motion taken off, the contact's pixel in the middle, shape [N, S, S],
-    float32 [scene units]; not a number where no tissue is visible."""
+    """Depth less that at rest, camera motion subtracted, the contact's pixel in the middle, [N, S, S], float32 [scene
+    units]; NaN where no tissue is visible."""
     noise: SequenceNoise
     size: tuple[int, int]
     """Width and height of the picture that was brought to the grid [px]."""
 
     def is_finer_than(self, grid_shape: tuple[int, int]) -> bool:
-        """Whether a pixel of a grid [h, w] is the mean of several of the picture."""
+        """Return whether a pixel of a grid [h, w] is the mean of several of the picture."""
         return self.size[0] > grid_shape[1] or self.size[1] > grid_shape[0]
 
     def chosen(self, frames: np.ndarray) -> DepthSequence:
@@ -99,11 +91,11 @@ class DepthLikelihood:
         mesh, vertex: tissue at rest, and the contact.
         sequence: one frame or more.
         noise: σ of every pixel in every frame [scene units]; None = as the sequence says.
-        reach, parts: as in `Patches`.
-        partial: as PARTIAL.
-        astray, uneven: standard deviations of a whole frame's error where a pixel of the grid is the mean of several:
-            how far aside what pixels show lies, by axis [grid pixels], and of the depth of dents, as a share. Half of
-            each variance is the same in all frames.
+        reach, parts: arguments of `Patches`.
+        partial: value in place of PARTIAL.
+        astray: standard deviation of a whole frame's lateral shift by axis, in grids coarser than the picture [grid
+            pixels]. Half of the variance is the same in all frames.
+        uneven: standard deviation of the depth of dents, as a share, half of its variance likewise.
     """
 
     def __init__(
@@ -138,11 +130,10 @@ class DepthLikelihood:
         self._turning: np.ndarray | float = 0.0
         change, total = self.change(moved), self.noise.total
         self.seen = np.isfinite(change - self.observed)
-        # By what is observed, too: else a model that moves nothing would explain everything.
-        # Of some pixels the motion is clear without a model.
-        clear = (np.abs(np.nan_to_num(self.observed)) > MOVED * total).sum(axis=0) >= SEVERAL
+        # Also by the observation: else a model without motion would explain everything. One outlier is no motion.
+        clear = (np.abs(np.nan_to_num(self.observed)) > MOVED * total).sum(axis=0) >= 3
         self.moving = (np.abs(np.where(self.seen, change, 0)).max(axis=0) > MOVED * total) | clear
-        """Pixels that move clearly, by the model or by what is observed, shape [P], bool."""
+        """Mask of pixels that move clearly, in the model or the observation, shape [P]."""
         self._walls = np.square(self._unevenness * self.patches.steepness(moved))
         self.blurs = self.patches.blurs(moved, self.covering)
         """Changes as in `Patches.blurs`, shape [P, N, 2], or of no columns."""
@@ -156,7 +147,7 @@ class DepthLikelihood:
         Args:
             moved, slopes: displacements [N, V, 3] and their derivatives [N, V, 3, D].
             logs: parameters of that motion, shape [D]; None = no other motion is compared.
-            outliers: whether pixels that lie far from that motion count less from now on.
+            outliers: True = pixels far from that motion count less from now on.
         """
         change, total = self.see(moved), self.noise.total
         self._turning, self._looked_at = self.patches.turning(moved, slopes), logs
@@ -167,9 +158,9 @@ class DepthLikelihood:
         self._whitener = self._whitening(np.where(np.isfinite(change), change, 0.0), weight)
 
     def _model_errors(self, sunk: np.ndarray) -> np.ndarray:
-        """Columns whose sum, with independent normal factors, is what the model itself gets wrong, shape [P, N, B].
+        """Columns of the model's own error, with independent normal factors, shape [P, N, B].
 
-        Dents as wholes lie aside, or are too deep: columns of every frame, then of all.
+        A dent as a whole lies aside or is too deep: columns of every frame, then of all.
 
         Args:
             sunk: change of the depth of every pixel, shape [N, P] [scene units].
@@ -201,7 +192,7 @@ class DepthLikelihood:
             covariance = covariance + noise.in_place**2 * common
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         still = whiten.sum(axis=2)  # [P, N]: what an error that stays is in every frame
-        smooth = still[:, :, None] * smooth_errors(noise.total)[:, None, :]
+        smooth = still[:, :, None] * (noise.total * smooth_errors())[:, None, :]
         errors = np.concatenate([self._model_errors(sunk), self.blurs], axis=2)
         wrong = np.matmul(whiten, np.where(self.seen.T[..., None], errors, 0.0))
         flat = np.concatenate([smooth, wrong], axis=2).reshape(-1, smooth.shape[2] + wrong.shape[2])
@@ -256,20 +247,17 @@ def rounding_covariance(simulated: np.ndarray) -> np.ndarray:
     Args:
         simulated: displacement along the force, shape [n, M] [σ].
     """
-    steps = (simulated[:, :, None] - simulated[:, None]) / STEP
+    steps = (simulated[:, :, None] - simulated[:, None]) / math.sqrt(12)  # the error of a step of √12 σ has the SD σ
     part = np.abs(steps) % 1
+    # Depths more than 3 steps apart are taken to correlate less than in theory, and a fifth of the variance not at all.
     # A product of positive definite functions of the depths is one too.
-    kernel = (1 - 6 * part * (1 - part)) * np.exp(-0.5 * np.square(steps / ROUNDING_REACH))
-    return (1 - INDEPENDENT) * kernel + INDEPENDENT * np.eye(simulated.shape[1])
-
-
-def smooth_errors(sigma: float) -> np.ndarray:
-    """Columns whose sum, with independent normal factors, is the rest surface's error, shape [P, K] [as σ]."""
-    return sigma * _smooth_shapes()
+    kernel = (1 - 6 * part * (1 - part)) * np.exp(-0.5 * np.square(steps / 3.0))
+    return (1 - 0.2) * kernel + 0.2 * np.eye(simulated.shape[1])
 
 
 @functools.cache
-def _smooth_shapes() -> np.ndarray:
+def smooth_errors() -> np.ndarray:
+    """Columns of the rest surface's error, with independent normal factors, shape [P, K] [σ]."""
     places = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
     squares = np.square(places[:, None] - places).sum(axis=-1)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * squares / REST_LENGTH**2))

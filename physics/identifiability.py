@@ -13,11 +13,9 @@ from numpy.typing import ArrayLike
 NINETY = 1.6448536269514722
 """Standard deviations on either side of the mean that hold 90 % of a normal distribution."""
 LIMIT = 0.5
-"""A parameter whose bound lies below is identifiable: its one-sigma interval spans less than a factor e."""
+"""Largest bound of an identifiable parameter: its one-sigma interval then spans less than a factor e."""
 RATIOS = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
-"""k_s/k_d and F/k_d in logarithms: what an over-damped response still determines."""
-NOTHING = 1e-9
-"""Information below this is rounding: a bound of 30,000."""
+"""Exponents of k_s/k_d and F/k_d, the ratios that an over-damped response still determines."""
 
 Verdict = Literal["determined", "ratios", "undetermined"]
 
@@ -49,7 +47,7 @@ def fisher_information(jacobian: np.ndarray, noise: float) -> np.ndarray:
 
 
 def covariance(information: np.ndarray) -> np.ndarray:
-    """I⁻¹, shape [..., 3, 3]; along directions about which nothing is known the variance is 1/NOTHING, not infinite."""
+    """I⁻¹, shape [..., 3, 3]; along directions without information the variance is 1e9, not infinite."""
     variances, vectors = _variances(information)
     return (vectors * variances[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
@@ -66,7 +64,7 @@ def box_information(box: np.ndarray) -> np.ndarray:
 def _variances(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Variance along each principal direction [..., 3], and the directions as columns [..., 3, 3]."""
     values, vectors = np.linalg.eigh(information)
-    return 1 / np.maximum(values, NOTHING), vectors
+    return 1 / np.maximum(values, 1e-9), vectors  # information below is rounding: a bound of 30,000
 
 
 def bounds(information: np.ndarray) -> np.ndarray:
@@ -92,9 +90,9 @@ def ratio_bounds(information: np.ndarray) -> np.ndarray:
 
 
 def verdict(information: np.ndarray) -> Verdict:
-    """`determined`: every parameter's bound lies below the limit.
+    """Verdict by the bounds: `determined` if every parameter's lies below LIMIT.
 
-    `ratios`: not, but those of k_d/k_s, and of F/k_d or F/k_s, do.
+    Otherwise `ratios` if those of k_d/k_s, and of F/k_d or F/k_s, do.
     """
     if (bounds(information) < LIMIT).all():
         return "determined"

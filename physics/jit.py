@@ -28,7 +28,7 @@ def kernel(function: Callable, **others: Any) -> Callable:
     One process at a time compiles: numba writes index and code one after the other.
 
     Args:
-        function: what is compiled.
+        function: compiled function.
         others: options of numba in place of those of OPTIONS.
     """
     try:

@@ -42,12 +42,12 @@ class LeastSquares:
 
 
 class Likelihood(LeastSquares):
-    """The simulator against what was observed.
+    """The simulator against an observation.
 
     Args:
         mesh: tissue at rest.
-        load: what presses on it, over the instants of the observation at least.
-        observation: what was observed; instants are compared at the nearest step.
+        load: press on the mesh, over the instants of the observation at least.
+        observation: observed motion; instants are compared at the nearest step.
         mechanics: constants of the simulator.
         dtype: float32 or float64, the precision of the simulation.
 

@@ -52,10 +52,10 @@ class Press:
         """Spread smoothly, as 1 - (r/R)², over the vertices less than `radius` grid pixels from a place.
 
         Args:
-            mesh, vertex: the place is a vertex of a mesh,
-            offset: or so many rows and columns from it [grid pixels].
+            mesh, vertex: vertex of a mesh.
+            offset: rows and columns from it to the place [grid pixels].
             radius: R [grid pixels]. Where no vertex is so near, the nearest one bears the whole force.
-            direction, factor: as in `Press`.
+            direction, factor: direction and factor of the `Press`.
 
         Raises:
             ValueError: the radius is not positive.
@@ -124,12 +124,12 @@ Load = Press | Grip
 
 
 def held(steps_loaded: float, steps: int) -> np.ndarray:
-    """Share of every step that is under a load which begins at once and lasts so many steps, shape [steps]."""
+    """Share of every step under a load that begins at once and lasts `steps_loaded` steps, shape [steps]."""
     return np.clip(steps_loaded - np.arange(steps), 0.0, 1.0)
 
 
 def ramped(rise: float, hold: float, fall: float, steps: int) -> np.ndarray:
-    """A load that rises, holds and falls, each over so many steps, its mean over every step, shape [steps].
+    """A load that rises, holds and falls, each over a number of steps: its mean over every step, shape [steps].
 
     It never falls where `hold` is infinite. Where `hold` is negative it begins to fall before it has risen, as fast as
     it would otherwise: the difference of two ramps.
@@ -139,7 +139,7 @@ def ramped(rise: float, hold: float, fall: float, steps: int) -> np.ndarray:
 
 
 def _ramp_integral(time: np.ndarray, rise: float) -> np.ndarray:
-    """Integral up to a time, any shape, of what is 0 before 0 and rises to 1 over `rise`."""
+    """Integral up to a time, any shape, of a function that is 0 before 0 and rises to 1 over `rise`."""
     time = np.maximum(time, 0.0)
     return np.where(time < rise, np.square(time) / (2 * rise) if rise > 0 else 0.0, time - rise / 2)
 
@@ -160,8 +160,7 @@ class PressShape:
     fall: float = 0.0
     """Time that it takes to fall from F to nothing, before the load's end [s]."""
     lean: Pair = (0.0, 0.0)
-    """Lean of the direction along which a positive F acts: its part along the surface, towards the picture's right and
-    towards its lower side, over that along the normal."""
+    """Lean of a positive F: its parts towards the picture's right and lower side over its part along the normal."""
 
     def leaning(self, normal: np.ndarray) -> np.ndarray:
         """Unit vector along which a positive F acts, of a normal [3] that is not the picture's x axis, shape [3]."""
@@ -181,10 +180,10 @@ class PressShape:
         """The load of this shape.
 
         Args:
-            mesh, vertex: as in `Press.on_patch`.
-            normal: of the surface, shape [3].
+            mesh, vertex: arguments of `Press.on_patch`.
+            normal: normal of the surface, shape [3].
             seconds: time under load; infinite where it does not end.
-            time_step, steps: of the simulation [s].
+            time_step, steps: time step [s] and number of steps of the simulation.
         """
         direction, factor = self.leaning(normal), self.factor(seconds, time_step, steps)
         if not self.radius:

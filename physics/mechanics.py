@@ -56,8 +56,7 @@ class Mechanics(Checked, group="mechanics."):
     def matched(self, interval: float) -> Self:
         """Return the mechanics over the same time, with the largest step of at most Δt that divides an interval [s].
 
-        Observations at multiples of the interval then lie on steps; rounding them to the nearest step would shift a
-        30 Hz clip's by up to a quarter of a step's worth of motion.
+        Observations at multiples of the interval then lie on steps: no rounding shifts them.
         """
         step = interval / max(1, math.ceil(interval / self.time_step - 1e-6))
         scale = self.time_step / step
@@ -138,8 +137,8 @@ RECOMMENDED = Bounds((0.05, 1.0), (0.005, 0.5), (-0.3, -0.01), (0.4, 0.08, -0.1)
 def highest_frequency(springs: np.ndarray, vertex_count: int, stiffness: float, mechanics: Mechanics) -> float:
     """Upper bound on the highest angular frequency of the sheet [rad/s].
 
-    Bounds the elastic operator by k_s times the largest eigenvalue of the springs' graph Laplacian (each spring resists
-    along its own direction only, so the graph's operator is the larger one).
+    The bound is k_s times the largest eigenvalue of the springs' graph Laplacian, above the elastic operator's: each
+    spring resists along its own direction only.
 
     Args:
         springs: vertex indices, shape [S, 2].

@@ -11,6 +11,9 @@ from scipy.ndimage import maximum_filter
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import Delaunay, KDTree
 
+NORM_GUARD = 1e-18
+"""Addend under square roots of squared lengths, so that a length of zero has a gradient."""
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -88,9 +91,9 @@ def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[n
     """Simplex that holds each point, or else is the least way off, and where in it that is.
 
     Args:
-        corners: of triangles in a plane or of tetrahedra, shape [F, D + 1, D]; none is flat.
+        corners: corners of triangles in a plane or of tetrahedra, shape [F, D + 1, D]; none is flat.
         points: shape [P, D].
-        candidates: so many simplices whose centres are closest are looked at.
+        candidates: number of simplices compared, those whose centres are closest.
 
     Returns:
         shapes [P] and, as barycentric coordinates, [P, D + 1].
@@ -105,7 +108,7 @@ def holding(corners: np.ndarray, points: np.ndarray, candidates: int) -> tuple[n
 
 
 def grid_springs(shape: tuple[int, int], down: int, right: int) -> np.ndarray:
-    """Springs [S, 2] of a grid's nodes, numbered row by row, to those so many rows below and columns to the right."""
+    """Springs [S, 2] of a grid's nodes, numbered row by row, to nodes some rows below and columns to the right."""
     number = np.arange(math.prod(shape)).reshape(shape)
     here = number[: shape[0] - down, max(-right, 0) : shape[1] - max(right, 0)]
     there = number[down:, max(right, 0) : shape[1] - max(-right, 0)]
@@ -113,7 +116,7 @@ def grid_springs(shape: tuple[int, int], down: int, right: int) -> np.ndarray:
 
 
 def incidence(springs: np.ndarray, count: int) -> csr_array:
-    """Matrix that sums forces of springs [S, 2] at so many nodes, shape [count, S]: 1 at the first of each, else -1."""
+    """Matrix that sums forces of springs [S, 2] at `count` nodes, shape [count, S]: 1 at the first of each, else -1."""
     number, signs = np.arange(len(springs)), np.repeat([1.0, -1.0], len(springs))
     return csr_array((signs, (springs.T.ravel(), np.tile(number, 2))), shape=(count, len(springs)))
 
@@ -123,8 +126,8 @@ def laplacian(springs: np.ndarray, stiffness: np.ndarray, anchor: np.ndarray) ->
 
     Args:
         springs: node indices, shape [S, 2].
-        stiffness: of each, shape [S].
-        anchor: of every node's foundation, shape [N].
+        stiffness: stiffness of each spring, shape [S].
+        anchor: stiffness of every node's foundation, shape [N].
     """
     (one, two), number = springs.T, np.arange(len(anchor) + 1)
     ties = coo_array((np.tile(stiffness, 2), (np.r_[one, two], np.r_[two, one])), (len(anchor), len(anchor))).tocsr()

@@ -1,4 +1,4 @@
-"""Observation of moving tissue: followed points, when, how far from rest, with what noise; likelihood of it."""
+"""Observation of moving tissue: displacements of tracked points with instants and noise, and their likelihood."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -36,7 +36,7 @@ class CommonErrors:
     """Normal errors that values share besides independent ones of variance 1.
 
     Args:
-        columns: what a standard deviation of each of M errors adds to K values, shape [..., K, M].
+        columns: change of K values by a standard deviation of each of M errors, shape [..., K, M].
     """
 
     def __init__(self, columns: np.ndarray) -> None:
@@ -54,7 +54,7 @@ class CommonErrors:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Displacements of M followed points of a mesh at N instants.
+    """Displacements of M tracked points of a mesh at N instants.
 
     Raises:
         ValueError: shapes that don't belong together, times that are not finite.
@@ -65,10 +65,10 @@ class Observation:
     times: np.ndarray
     """Times since the load began, ascending, shape [N] [s]."""
     displacement: np.ndarray
-    """Displacements from rest, shape [M, N, 3], float32 [scene units]; not a number where a point was not observed."""
+    """Displacements from rest, shape [M, N, 3], float32 [scene units]; NaN where a point was not observed."""
     noise: np.ndarray
-    """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]: across
-    the line of sight it may be far smaller than along it. Not a number where it isn't known."""
+    """Standard deviation by axis of the camera, of shape [3] or any that broadcasts to [M, N, 3] [scene units]; NaN
+    where it isn't known."""
 
     def __post_init__(self) -> None:
         expected = (len(self.vertices), len(self.times), 3)

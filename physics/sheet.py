@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.linalg import splu
 
+from palpate.physics.fem.linear_system import factorised
 from palpate.physics.mesh import laplacian
 
 
@@ -23,7 +23,7 @@ class Equilibrium:
     matrix: csr_array
     """K, shape [N, N] [unit of stiffness]."""
     gripped: np.ndarray
-    """Shape [N], bool."""
+    """Mask of the gripped nodes, shape [N], bool."""
 
     @property
     def reaction(self) -> np.ndarray:
@@ -38,9 +38,9 @@ def equilibrium(
 
     Args:
         springs: node indices, shape [S, 2].
-        stiffness: of every spring, shape [S], positive.
+        stiffness: stiffness of every spring, shape [S], positive.
         anchor: stiffness of every node's foundation, shape [N], positive.
-        gripped: which nodes are held, shape [N], bool; some but not all.
+        gripped: mask of the held nodes, shape [N]; some but not all.
         motion: their displacement, shape [G, A], finite.
 
     Raises:
@@ -57,8 +57,6 @@ def equilibrium(
     displacement = np.zeros((count, motion.shape[1]))
     displacement[gripped] = motion
     free = matrix[~gripped]
-    # Symmetric and positive: no pivoting, and an ordering that keeps the symmetry.
-    symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    factors = splu(free[:, ~gripped].tocsc(), **symmetric)
-    displacement[~gripped] = factors.solve(-(free[:, gripped] @ np.asarray(motion, np.float64)))
+    pull = free[:, gripped] @ np.asarray(motion, np.float64)
+    displacement[~gripped] = factorised(free[:, ~gripped].tocsc()).solve(-pull)
     return Equilibrium(displacement, matrix, gripped)

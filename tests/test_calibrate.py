@@ -25,7 +25,7 @@ from palpate.physics.fem import Material, find_equilibrium
 @functools.cache
 def ball() -> tuple[dict[str, Any], str, str]:
     """The files of a pressed ball: scene, surface and points."""
-    truth = press(BODIES["ball"], 1e4, 0.42, 0.8, (0.1, 0.5), 4, law="corotational")
+    truth = press(BODIES["ball"], 0.8, (0.1, 0.5), 4, law="corotational")
     return scene_files(BODIES["ball"].surface(0.0035), observe(*truth, "stereo", 0, count=400), 0.012, 4)
 
 

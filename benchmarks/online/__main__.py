@@ -4,9 +4,9 @@
         [--match tracks] [--optimizer gauss-newton] [--frames N] [--particles 600] [--points 9000] [--every 10]
 
 Truth is another integrator's on another mesh (benchmarks/online/sequences.py). Each sequence, start and method is a
-line of results.jsonl, so that an interrupted run goes on where it was, and a run of some adds to those that are there.
-Writes table.csv (sequence, start, method, measure, value) and table_2.csv of all that were asked for. A small run:
---sequences thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1000.
+line of results.jsonl: an interrupted run goes on, and a run of some adds to those that are there. Writes table.csv
+(sequence, start, method, measure, value) and table_2.csv of all that were asked for. A small run: --sequences
+thin-shell-1 --starts k1 --frames 30 --particles 150 --points 1000.
 """
 
 import functools
@@ -53,7 +53,7 @@ class Online(Experiment):
     methods: tuple[Literal["PBD", "PBD-DiffCloud", "PBD-RM", "PBD-RM-ON"], ...] = METHODS
     """which; PBD-DiffCloud on sheets alone"""
     match: Literal["chamfer", "tracks", "both"] = "tracks"
-    """what is observed of a frame (the paper: chamfer)"""
+    """observations of a frame (the paper: chamfer)"""
     optimizer: Optimizer = "gauss-newton"
     """of PBD-RM-ON (the paper: adam)"""
     frames: Annotated[int, HORIZON + 2, LARGEST] | None = None
@@ -115,7 +115,7 @@ class Online(Experiment):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run what is asked for and not there yet, and draw all of it; returns the exit status."""
+    """Run the missing cases, and draw all of them; returns the exit status."""
     return run(Online, arguments, "benchmarks.online", __doc__)
 
 

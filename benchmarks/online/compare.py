@@ -1,9 +1,9 @@
 """One method on one pull, as Liang 2024 judges it: Chamfer distance, future gap, keypoints, and its Table II.
 
-PBD-DiffCloud fits fields of stiffness to the first frames together, many times over, as Liang 2024 compares it:
-DiffCloud (Sundaresan 2022) simulates a training trajectory from its beginning, compares it with its point clouds, and
-changes the simulation's parameters by the gradient of the sum. Here these are the same fields, within the same bounds
-and by the same optimiser as the online estimator's; followed points count where these are matched.
+PBD-DiffCloud fits fields of stiffness to the first frames together, in many epochs, as Liang 2024 compares it.
+DiffCloud (Sundaresan 2022) simulates a training trajectory, compares it with its point clouds, and changes the
+simulation's parameters by the gradient of the sum. Here the fields, their bounds and the optimiser are those of the
+online estimator; tracks count where these are matched.
 """
 
 import time
@@ -31,44 +31,43 @@ STARTS = {"k1": (5.0, 0.015), "k2": (1.0, 0.01), "k3": (0.2, 0.005)}
 """Stiffness of distances and shapes to begin with: the paper's (section III-B), shapes inside its own bound."""
 Optimizer = Literal["adam", "gauss-newton"]
 HORIZON = 10
-"""T, frames ahead (section III-D)."""
-FRAMES, EPOCHS = 30, 25
-"""Frames of the batch fit's training trajectory, and how often it is gone through (Liang 2024, section III-D)."""
+"""Prediction horizon T [frames] (section III-D)."""
+EPOCHS = 25
+"""Epochs of the batch fit (section III-D)."""
 
 
 def run_case(
     pull: Pull, start: tuple[float, float], name: str, match: str, every: int, optimizer: Optimizer = "gauss-newton"
 ) -> Row:
-    """Follow a pull, and predict from every so many frames.
+    """Track a pull, and predict from every `every`-th frame.
 
-    Every method's gap is the residual mapping by k⁰ to what is observed, whether it looks at that itself or not.
+    Every method's gap is the residual mapping by k⁰ to the observations, even if the method doesn't use them.
 
     Args:
-        pull: what is simulated and observed.
+        pull: simulated sequence.
         start: stiffness of distances and shapes to begin with.
         name: one of `METHODS`.
-        match: what is observed: chamfer (the cloud), tracks (followed points) or both. A cloud alone doesn't show
+        match: observations: chamfer (the cloud), tracks or both. A cloud alone doesn't show
             tissue that slides within its surface.
         every: frames from one prediction to the next.
-        optimizer: of PBD-RM-ON; Gauss–Newton's looks at followed points, whatever is matched.
+        optimizer: optimizer of PBD-RM-ON; Gauss–Newton always uses tracks.
 
     Returns:
-        What is measured by name; T frames, J frames from which is predicted. `chamfer`: distance of the state to the
-        cloud, the root of both ways' mean squared distances added, shape [T] [m] (equation 4 adds squares up, and
-        figure 5 has mm). `ahead`: those frames, [J]. `gap`: mean norm of the residual mapping 1 to 10 frames ahead
-        (equation 10), [J] [m]. `keypoint`: mean distance of keypoints to where they are predicted, over 1 to 10 frames
-        ahead, [J] [m]; equation 11 has that of the tenth. `rank`: Spearman's correlation of the last distance field
-        with truth where tissue moves; of a uniform field not a number. `seconds`: median time of a step
-        on one processor core.
+        Measures by name; T frames, J frames from which is predicted. `chamfer`: distance of the state to the cloud, the
+        root of both ways' mean squared distances added, shape [T] [m] (equation 4 adds squares up, figure 5 has mm).
+        `ahead`: those frames, [J]. `gap`: mean norm of the residual mapping 1 to 10 frames ahead (equation 10), [J]
+        [m]. `keypoint`: mean error of predicted keypoints over 1 to 10 frames ahead, [J] [m]; equation 11 has that of
+        the tenth. `rank`: Spearman's correlation of the last distance field with truth where tissue moves; NaN of a
+        uniform field. `seconds`: median time of a step on one processor core.
     """
     body, frames = pull.body, len(pull.truth)
     objective = Objective(body, pull.gripped)
     fields = Stiffness(*(np.full(body.count, value) for value in start))
     method = Method("PBD" if name == BATCH else name, optimizer)  # ty: ignore[invalid-argument-type]: one of METHODS
     if name == BATCH:
-        first = range(min(FRAMES, frames))
-        matches = [pull.matches(frame, match) for frame in first]
-        fields, _ = fit_batch(objective, fields, pull.places[: len(first)], matches, method.rate)
+        # The training trajectory has 30 frames (Liang 2024, section III-D).
+        matches = [pull.matches(frame, match) for frame in range(min(30, frames))]
+        fields, _ = fit_batch(objective, fields, pull.places[: len(matches)], matches, method.rate)
     session, learner = Session(objective, fields, method), None
 
     def moved(places: np.ndarray) -> np.ndarray:
@@ -110,15 +109,15 @@ def fit_batch(
     """Fields after EPOCHS epochs.
 
     Args:
-        objective: how the body is stepped; its other terms don't count.
+        objective: steps the body; its other terms don't count.
         begun: fields to begin with, shape [N].
-        places: where gripped particles are in T frames, from rest on, shape [T, G, 3] [m].
-        matches: what was observed in each of them.
+        places: places of gripped particles in T frames, from rest on, shape [T, G, 3] [m].
+        matches: observations of each frame.
         rate: Adam's, on logits.
 
     Returns:
-        the fields, and the mean over frames of what was left before every epoch, shape [EPOCHS] [mean edges²]: Adam's
-        guard knows no unit.
+        Fields, and the mean residual over frames before every epoch, shape [EPOCHS] [mean edges²]: Adam's guard has no
+        unit.
     """
     body, bounds, adam, fields = objective.body, objective.bounds, Adam(rate), begun
     logits, left = bounds.logits(begun), []

@@ -1,9 +1,9 @@
-"""Pulls whose truth is known: two sheets by a fine mass-spring net, two blocks by finite elements.
+"""Pulls with ground truth: two sheets by a fine mass-spring net, two blocks by finite elements.
 
-Stand in for the paper's chicken skin and muscle (Liang 2024, section III-A: pinned at one side, pulled by a gripper).
-Both creep: they flow down their energy against drag, without inertia, as the estimator's steps without velocities do.
-Sheets are nets of springs along rows, both diagonals and, against bending, every second node; blocks are neo-Hookean
-finite elements, in implicit steps. The estimator's particles lie elsewhere, and in another number.
+They stand in for the paper's chicken skin and muscle (Liang 2024, section III-A: pinned at one side, pulled by a
+gripper). Both creep: they flow down their energy against drag, without inertia, as the estimator's steps without
+velocities do. Sheets are nets of springs along rows, both diagonals and, against bending, every second node; blocks
+are neo-Hookean finite elements, in implicit steps. The estimator's particles lie elsewhere, and in another number.
 """
 
 from collections.abc import Callable
@@ -30,10 +30,8 @@ FINE, FINE_CELLS = 41, (16, 13, 4)
 """Nodes along a sheet's side; cells of a block."""
 STIFF = 3.0
 """Stiffness of the stiff part, over the soft one."""
-
-
-NOISE, FOLLOWED, KEYPOINTS = 0.2e-3, 200, 15
-"""Standard deviation of observations, by axis [m]; points that are followed; of these, keypoints (section III-D)."""
+NOISE, KEYPOINTS = 0.2e-3, 15
+"""Standard deviation of observations by axis [m]; number of keypoints among the tracks (section III-D)."""
 
 State = Callable[[np.ndarray], np.ndarray]
 """Displacement [m] of places at rest [P, 3], shape [P, 3]."""
@@ -53,17 +51,17 @@ class Pull:
     clouds: np.ndarray
     """Points of the surface, shape [T, m, 3] [m]."""
     shares: csr_array
-    """Followed points among the particles, shape [P, N]."""
+    """Shares of the particles in each tracked point, shape [P, N]."""
     tracks: np.ndarray
-    """Observed places, shape [T, P, 3] [m]."""
+    """Observed places of tracked points, shape [T, P, 3] [m]."""
     points: np.ndarray
-    """True places, at rest and in every frame, shape [T + 1, P, 3] [m]."""
+    """True places of tracked points, at rest and in every frame, shape [T + 1, P, 3] [m]."""
     keypoints: np.ndarray
     """Indices of the keypoints, shape [15]."""
     stiffness: np.ndarray
     """True relative stiffness at the particles, shape [N]."""
     truth: np.ndarray
-    """True places, shape [T, N, 3] [m]."""
+    """True places of the particles, shape [T, N, 3] [m]."""
 
     def matches(self, frame: int, kind: str) -> list[Match]:
         """Observations that the estimator is given of a frame: `chamfer`, `tracks` or `both`."""
@@ -87,7 +85,7 @@ class Sequence:
 
     block: bool
     frames: int
-    """Number of frames; None = as many by default."""
+    """Number of frames."""
     way: Callable[[np.ndarray], np.ndarray]
     """Displacement of the gripper at shares of the time [S], shape [S, 3] [m]."""
     stiff: Callable[[np.ndarray], np.ndarray]
@@ -98,8 +96,8 @@ class Sequence:
 
         Args:
             particles: about how many the estimator has.
-            points: of a cloud.
-            frames: how many of the sequence, from its beginning.
+            points: number of points of a cloud.
+            frames: number of frames from the beginning.
         """
         path = self.way(np.arange(1, frames + 1) / self.frames)
         states = (_block_states if self.block else _sheet_states)(path, self.stiff)
@@ -113,7 +111,7 @@ class Sequence:
             size = BLOCK[:2] if self.block else (SIDE, SIDE)
             return np.column_stack([random.uniform(0, 1, (count, 2)) * size, np.full(count, top)])
 
-        followed = surface(FOLLOWED)
+        followed = surface(200)
         true = np.stack([followed, *(followed + state(followed) for state in states)])
         clouds = []
         for state in states:
@@ -165,7 +163,7 @@ def _interpolated(axes: tuple[np.ndarray, ...], values: np.ndarray) -> State:
 
 
 def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -> list[State]:
-    """States of a net that flows down its energy, in steps of Euler's well within what is stable."""
+    """States of a net that flows down its energy, in stable steps of Euler's."""
     rest, _ = _grid(FINE, FINE, (SIDE, SIDE))
     # Nodes to the right and up, and stiffness over that of rows: along rows, along diagonals, and against bending.
     net = ((1, 0, 1.0), (0, 1, 1.0), (1, 1, 0.5), (1, -1, 0.5), (2, 0, 0.05), (0, 2, 0.05))
@@ -180,7 +178,7 @@ def _sheet_states(path: np.ndarray, stiff: Callable[[np.ndarray], np.ndarray]) -
     drag = 1 / 0.005**2 * (SIDE / (FINE - 1)) ** 2
     held = _held(rest, False)
     fixed = (held | (rest[:, 0] < 1e-9))[:, None]
-    # A node's springs pull at most twice their sum as fast as it moves: half of what is stable.
+    # A node's springs pull at most twice their sum as fast as it moves: half of the stable limit.
     steps = int(np.ceil(2 * float(np.bincount(np.r_[first, second], np.tile(stiffness, 2)).max()) / drag))
     now, before, states = rest.copy(), np.zeros(3), []
     axis = np.linspace(0, SIDE, FINE)
@@ -202,9 +200,9 @@ def _block_states(
     """States of a neo-Hookean block that creeps: Euler's implicit steps, each the least of energy and drag's work.
 
     Args:
-        path: of the gripper, shape [T, 3] [m].
-        stiff: which places are.
-        young: of the soft part; only ν and E over the drag count for where it is [Pa].
+        path: displacement of the gripper, shape [T, 3] [m].
+        stiff: mask of stiff places, as in `Sequence`.
+        young: Young's modulus of the soft part; the motion depends only on ν and E over the drag [Pa].
         count: steps a frame.
     """
     nodes, tetrahedra = box(BLOCK, FINE_CELLS)
@@ -244,33 +242,29 @@ def _spread_out(points: np.ndarray) -> np.ndarray:
     return pool[farthest(points[0, pool], len(pool) - 1, KEYPOINTS)]
 
 
-def _path(right: np.ndarray, aside: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Displacements of a gripper, shape [S, 3], from those along each axis [S] [m]."""
-    return np.stack([right, aside, up], axis=1)
-
-
 SEQUENCES = {
     # Away from the pins and up; the half next to the pins is stiff.
     "thin-shell-1": Sequence(
-        False, 60, lambda s: _path(0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s)), lambda rest: rest[:, 0] < SIDE / 2
+        False,
+        60,
+        lambda s: np.column_stack((0.025 * s, 0 * s, 0.03 * np.sin(np.pi / 2 * s))),
+        lambda rest: rest[:, 0] < SIDE / 2,
     ),
     # To one side, to the other and back, lifted on the way; a spot is stiff.
     "thin-shell-2": Sequence(
         False,
         100,
-        lambda s: _path(0.02 * np.sin(np.pi * s), 0.03 * np.sin(2 * np.pi * s), 0.025 * np.sin(np.pi * s)),
+        lambda s: np.sin(np.pi * np.outer(s, (1, 2, 1))) * (0.02, 0.03, 0.025),
         lambda rest: np.linalg.norm(rest[:, :2] - (0.07, 0.05), axis=1) < 0.04,
     ),
     # A block's free end up, and a little back.
-    "volume-1": Sequence(
-        True, 60, lambda s: _path(-0.004 * s, 0 * s, 0.025 * s), lambda rest: rest[:, 1] > BLOCK[1] / 2
-    ),
+    "volume-1": Sequence(True, 60, lambda s: np.outer(s, (-0.004, 0, 0.025)), lambda rest: rest[:, 1] > BLOCK[1] / 2),
     # A block's free end aside and up.
     "volume-2": Sequence(
         True,
         60,
-        lambda s: _path(0.006 * s, 0.015 * np.sin(np.pi * s), 0.02 * np.sin(np.pi * s / 2)),
+        lambda s: np.column_stack((0.006 * s, 0.015 * np.sin(np.pi * s), 0.02 * np.sin(np.pi * s / 2))),
         lambda rest: rest[:, 1] < BLOCK[1] / 2,
     ),
 }
-"""The paper's four, by name."""
+"""Pulls of the paper by name."""

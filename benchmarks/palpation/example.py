@@ -4,7 +4,7 @@
     palpate calibrate palpation OUT/scene.yaml --output RESULTS
 
 Writes scene.yaml, rest.obj and observed.csv: a slab of 9 × 9 × 3 cm with E = 10 kPa and ν = 0.42 under a press of
-0.5 N, observed by a stereo sensor (0.3 mm of noise) whose pose is off by some millimetres, as `synthetic` has it.
+0.5 N, observed by a stereo sensor (0.3 mm of noise). The sensor's pose is off by some millimetres.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-from benchmarks.palpation.synthetic import BODIES, TOOL, observe, press
+from benchmarks.palpation.synthetic import BODIES, POISSON, TOOL, YOUNG, observe, press
 from palpate.common.command_line import say
 from palpate.common.doors import run_door
 from palpate.common.options import options
@@ -24,8 +24,6 @@ from palpate.estimators.palpation.bench import Palpation
 from palpate.results.store import OutputError, make_output, writing
 
 FILES = ("scene.yaml", "rest.obj", "observed.csv")
-YOUNG, POISSON, FORCE, PLACE = 1e4, 0.42, 0.5, (0.35, 0.5)
-"""The truth, co-rotational [Pa], and with what [N] and where is pressed, as `Body.contact` takes it."""
 
 
 def scene_files(surface: tuple[np.ndarray, np.ndarray], observed: Palpation, held_below: float, cells: int) -> tuple:
@@ -33,9 +31,9 @@ def scene_files(surface: tuple[np.ndarray, np.ndarray], observed: Palpation, hel
 
     Args:
         surface: at rest, vertices [V, 3] [m] and triangles [F, 3].
-        observed: the one palpation.
-        held_below: as `SceneFile.held_below` [m].
-        cells: of the fit's mesh.
+        observed: the only palpation.
+        held_below: height below which the body is held [m].
+        cells: number of the fit's cells along the longest side.
     """
     palpation = {name: getattr(observed, name).tolist() for name in ("force", "contact", "pose")}
     palpation |= {"points": FILES[2], "tool_radius": observed.tool_radius, "hole": observed.hole}
@@ -62,8 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with writing(output):
             require_own(*(output / name for name in FILES))
         # Four cells along the slab, a scan of triangles of 3 mm, and edges of 0.6 radii where the tool presses.
-        mesh = 4, "corotational", 0.003, 0.6 * TOOL
-        truth = press(BODIES["slab"], YOUNG, POISSON, FORCE, PLACE, *mesh)
+        truth = press(BODIES["slab"], 0.5, (0.35, 0.5), 4, "corotational", 0.003, 0.6 * TOOL)
         observed = observe(*truth, "stereo", 73600, count=4000)
         scene, *texts = scene_files((truth[0].vertices, truth[0].triangles), observed, 0.0, 5)
         head = f"# Lengths in metres. The truth: E = {YOUNG:g} Pa, ν = {POISSON:g}.\n"

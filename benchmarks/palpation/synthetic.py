@@ -14,26 +14,27 @@ from palpate.physics.fem import Equilibrium, Material, box, find_equilibrium, ma
 from palpate.physics.fem.curved import curve
 from palpate.physics.fem.meshing import Longest, around, refine
 
+YOUNG, POISSON = 1e4, 0.42
+"""The truth; Young's modulus in Pa."""
 SENSORS = {"stereo": 0.0003, "time of flight": 0.001}
 """Noise along the line of sight [m]."""
-
 TOOL = 0.015
 """Radius of the tool [m]."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """Shape of what is palpated, and where its supports are."""
+    """Palpated body, held at its bottom."""
 
     shape: str
-    """ball or slab."""
+    """`ball` or `slab`."""
     size: float
     """Diameter, or longest side [m]."""
     height: float
-    """[m]."""
+    """Height [m]."""
 
     def surface(self, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices and triangles of the scanned surface, spaced so [m]."""
+        """Vertices and triangles of the scanned surface, at a spacing [m]."""
         if self.shape == "ball":
             vertices, triangles = sphere(max(1, round(np.log2(self.size / 2 / spacing))))
             return vertices * self.size / 2 + [0, 0, self.size / 2], triangles
@@ -44,12 +45,12 @@ class Body:
         return nodes[used] - [self.size / 2, self.size / 2, 0], which.reshape(-1, 3)
 
     def skin(self, cells: int, spacing: float, longest: Longest | None = None) -> tuple[Skin, np.ndarray]:
-        """The surface on quadratic tetrahedra, and which of their nodes' components are held, those at the bottom.
+        """The surface on quadratic tetrahedra, and the mask of their nodes' held components, those at the bottom.
 
         Args:
-            cells: of the mesh along the longest side.
-            spacing: of the surface's vertices [m].
-            longest: what edges are divided to, as `refine` takes it.
+            cells: number of the mesh's cells along the longest side.
+            spacing: distance of the surface's vertices [m].
+            longest: longest edges, as `refine` takes it.
         """
         vertices, triangles = self.surface(spacing)
         if self.shape == "ball":
@@ -71,7 +72,7 @@ class Body:
         return cover(body, vertices, triangles, vertices[:, 2] <= floor), held
 
     def contact(self, along: float, around: float) -> tuple[np.ndarray, np.ndarray]:
-        """A place on the upper surface, `along` of the radius or half side off the middle, and the outward normal."""
+        """A place on the upper surface, `along` radii or half sides from the middle, and the outward normal."""
         way = np.array([np.cos(around), np.sin(around), 0.0])
         if self.shape == "slab":
             return along * self.size / 2 * way + [0, 0, self.height], np.array([0.0, 0.0, 1.0])
@@ -83,7 +84,7 @@ BODIES = {"ball": Body("ball", 0.1, 0.1), "slab": Body("slab", 0.09, 0.03)}
 
 
 def sphere(halvings: int) -> tuple[np.ndarray, np.ndarray]:
-    """Unit sphere: an octahedron whose triangles are divided by four that often; vertices [V, 3], triangles [F, 3]."""
+    """Unit sphere, an octahedron whose triangles are divided by four `halvings` times; vertices and triangles."""
     vertices = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64)
     triangles = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     for _ in range(halvings):
@@ -95,8 +96,6 @@ def sphere(halvings: int) -> tuple[np.ndarray, np.ndarray]:
 
 def press(
     body: Body,
-    young: float,
-    poisson: float,
     force: float,
     place: tuple[float, float],
     cells: int,
@@ -107,31 +106,30 @@ def press(
     """The truth: a body under a force along its normal; skin, rest, force [3] and contact [3].
 
     Args:
-        body: what is pressed.
-        young, poisson: of it.
-        force: [N].
-        place: as `Body.contact` takes it.
-        cells: of its mesh.
-        law: of `physics.fem.LAWS`.
-        spacing: of the surface's vertices; None = a 26th of the body's size [m].
-        edge: longest of an element where the tool presses; None = as the cells are [m].
+        body: pressed body, of YOUNG and POISSON.
+        force: norm of the force [N].
+        place: arguments of `Body.contact`.
+        cells: number of its mesh's cells along the longest side.
+        law: one of `physics.fem.LAWS`.
+        spacing: distance of the surface's vertices; None = a 26th of the body's size [m].
+        edge: longest edge of an element at the tool; None = as the cells are [m].
     """
     contact, normal = body.contact(*place)
     longest = None if edge is None else around(contact[None], TOOL, edge)
     skin, held = body.skin(cells, body.size / 26 if spacing is None else spacing, longest)
     vector = -force * normal
     forces = skin.pressed(contact, TOOL, vector)
-    rest = find_equilibrium(skin.body, Material(law, young, poisson), held, forces=forces)
+    rest = find_equilibrium(skin.body, Material(law, YOUNG, POISSON), held, forces=forces)
     return skin, rest, vector, contact
 
 
 def observe(
     skin: Skin, rest: Equilibrium, force: np.ndarray, contact: np.ndarray, sensor: str, seed: int, count: int = 20_000
 ) -> Palpation:
-    """Observation of a sensor next to the tool: points that face its eye, off by its noise, and its believed pose.
+    """Observation of a sensor next to the tool: noisy points that face it, and its believed pose.
 
-    The tool hides what is within its radius of the contact. A depth picture of 640 × 480 shows a body of 10 cm at 30 cm
-    in about 20,000 points, evenly over its solid angle; each is off along the line from the eye.
+    The tool hides points within its radius of the contact. A depth picture of 640 × 480 shows a body of 10 cm at 30 cm
+    in about 20,000 points, evenly over its solid angle. The noise is along the line of sight.
     """
     chance = np.random.default_rng(seed)
     direction = np.array([0.5, 0.3, 1.0]) / np.linalg.norm([0.5, 0.3, 1.0])

@@ -1,1 +1,1 @@
-"""Answers on real clips, judged by what was kept back from the fit: tissue that an instrument holds and moves."""
+"""Results on real clips of tissue that an instrument holds and moves, judged by frames kept back from the fit."""

@@ -4,13 +4,14 @@
     python -m benchmarks.real --pulled CLIP [--layout YAML] [--masks FILE] --output OUT
 
 --data runs every known clip under a folder (docs/reports/real.md). A pulled clip shows tissue that an instrument holds
-and moves: the table has what the session of `infer.py --estimator direct` says of it, its skill in frames that were not
-fitted included, and the seconds that the fit takes. A sheet that is fitted to the first half of the frames in which the
-tissue moves with the instrument predicts the others from the motion at the instrument alone: skill is 1 - error /
-motion, root mean squares over the points of a frame; 0 = as good as saying that nothing moves, 1 = exact.
-`contact_frame_N` is the probability that tissue moves with the
-instrument. Writes table.csv (clip, measure, value); the same command judges again what could not be judged. `infer.py`
-draws the same session's fit.png. Not a medical device.
+and moves. The table has the results of `infer.py --estimator direct` and the seconds that the fit takes.
+
+A sheet is fitted to the first half of the frames in which the tissue moves with the instrument. It predicts the others
+from the motion at the instrument alone. Skill is 1 - error / motion, root mean squares over the points of a frame: 0 =
+as good as no motion, 1 = exact. `contact_frame_N` is the probability that tissue moves with the instrument.
+
+Writes table.csv (clip, measure, value); the same command tries failed clips again. `infer.py` draws the same session's
+fit.png. Not a medical device.
 """
 
 import functools
@@ -29,7 +30,7 @@ from palpate.estimators.session import estimates_of
 
 @dataclass(frozen=True)
 class PulledClip:
-    """A clip as users have it."""
+    """Files of a clip of a grip."""
 
     path: Path
     """Folder of its files, or a video file."""
@@ -40,10 +41,10 @@ class PulledClip:
 
 
 def evaluate_pull(clip: PulledClip) -> Row:
-    """Open the session and gather what it says, numbers and words by name.
+    """Measures of a clip by name.
 
-    `status` says why no run of contact tells anything as a grip. The probability of contact in every frame with an
-    instrument, by the frame's number, is there whatever becomes of the rest.
+    `status` is the reason if there is no grip. The probability of contact in every frame with an instrument is there in
+    any case.
 
     Raises:
         InputError: the clip can't be read.
@@ -120,11 +121,11 @@ class Real(Measurements):
 
     @property
     def wanted(self) -> dict[str, Callable[[], Row]]:
-        """Judge of each clip, by its name."""
+        """Work on each clip by name."""
         return {name: functools.partial(evaluate_pull, clip) for name, clip in self.clips.items()}
 
     def record(self) -> Mapping[str, Any]:
-        """Everything that the results depend on."""
+        """Record of everything the results depend on."""
         return {f"clip {name}": repr(clip) for name, clip in self.clips.items()}
 
 

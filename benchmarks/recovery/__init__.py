@@ -1,8 +1,8 @@
 """Recovery of θ on synthetic clips whose truth is known.
 
 suites      the kinds of clips, and their seeds
-trial       one clip against its truth, whatever moves its tissue
+trial       one clip against its truth
 bounds      Cramér–Rao bounds of the depth-change sequence
-scores      of presses, errors and coverage of many
+scores      errors and coverage of many presses
 grips       grips against their truth, and their table
 """

@@ -7,8 +7,8 @@ continues an interrupted run, and a later one may add suites, estimators or clip
 be estimated is counted and shown. In table.csv constant_rmse_log is the error of the best constant for exactly the
 clips of a row: nothing that ignores its input can do better.
 
-Suites of grips show tissue that a tool holds and moves, at 854x480; the session of direct is asked what they tell, and
-grips.csv has the answer (see `benchmarks.recovery.grips`).
+Suites of grips show tissue that a tool holds and moves, at 854x480. Only direct estimates them; grips.csv has its
+results (see `benchmarks.recovery.grips`).
 
 suites:
 """
@@ -18,12 +18,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from benchmarks.harness import OK, Experiment, Report, Row, run
 from benchmarks.recovery.grips import grip_table
-from benchmarks.recovery.scores import Scores, score_all, table
-from benchmarks.recovery.suites import EVERY, GRID_SIZE, LARGEST_SEED, SUITES, suite_clip_seed
+from benchmarks.recovery.scores import score_all, table
+from benchmarks.recovery.suites import EVERY, GRID_SIZE, SUITES, suite_clip_seed
 from benchmarks.recovery.trial import Trial, opened, run_trial
 from palpate.common.command_line import size_of
 from palpate.common.doors import run_door
@@ -32,12 +32,8 @@ from palpate.common.settings import LARGEST
 from palpate.data.depth.normalise import MOST_THREADS
 from palpate.estimators.open import settings_of
 
-DIRECT = "direct"
-"""The estimator that fits grips."""
-NAMES = (DIRECT, "gan", "network")
-"""Estimators in the order of tables."""
-
 Name = Literal["direct", "gan", "network"]
+"""Estimators in the order of tables."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class Benchmark(Experiment):
 
     suite: tuple[str, ...] = option(("clean",), choices=lambda: (*EVERY, "all"))
     """suites, or all of presses"""
-    estimator: tuple[Name, ...] = (DIRECT,)
+    estimator: tuple[Name, ...] = ("direct",)
     """direct, gan or network, one or more"""
     model: Path | None = None
     """ONNX file of the estimator network"""
@@ -54,15 +50,15 @@ class Benchmark(Experiment):
     """ONNX file of the estimator gan: one estimate a frame"""
     clips: Annotated[int, 1, LARGEST] = 60
     """clips of each suite, a third a regime"""
-    seed: Annotated[int, 0, LARGEST_SEED] = 0
+    seed: Annotated[int, 0, 2**32 - 1] = 0
     """another seed gives other clips"""
     split: Literal["training", "validation", "test"] = "test"
     """stream of seeds"""
     seen: Literal["press"] | None = None
     """only the frames in contact are observed (default: one second)"""
     onset: Literal["stamp", "between"] = "stamp"
-    """when direct and network take a press to begin, and who knows the instants of the Cramér–Rao bound: at a frame's
-    stamp (as in most suites) or between"""
+    """assumed begin of a press, by direct, network and the Cramér–Rao bound: at a frame's stamp (as in most suites) or
+    between two"""
     size: str = "214x120"
     """width and height of the pictures; 854x480 is CholecSeg8k's"""
     workers: Annotated[int, 0, MOST_THREADS] = 2
@@ -87,21 +83,21 @@ class Benchmark(Experiment):
 
     @property
     def suites(self) -> list[str]:
-        """Each once, in the order of tables."""
+        """Suites, each once, in the order of tables."""
         return [name for name in EVERY if name in self.suite or ("all" in self.suite and name in SUITES)]
 
     @property
     def pixels(self) -> tuple[int, int]:
-        """Width and height of the pictures; 0 for what is no size."""
+        """Width and height of the pictures; 0 if --size is none."""
         return size_of(self.size) or (0, 0)
 
     @property
     def estimators(self) -> dict[str, Any]:
         """Compared estimators by name, in the order of tables."""
         press = {"onset": self.onset, "horizon": self.seen}
-        known: dict[str, dict[str, Any]] = {DIRECT: press, "gan": {"model": self.gan_model, "threads": 1}}
+        known: dict[str, dict[str, Any]] = {"direct": press, "gan": {"model": self.gan_model, "threads": 1}}
         known["network"] = {"model": self.model, "threads": 1, **press}
-        return {name: settings_of(name, **known[name]) for name in NAMES if name in self.estimator}
+        return {name: settings_of(name, **known[name]) for name in get_args(Name) if name in self.estimator}
 
     def record(self) -> Mapping[str, Any]:
         """Record of everything the results depend on."""
@@ -114,21 +110,21 @@ class Benchmark(Experiment):
         return found
 
     def asked(self, suite: str, index: int) -> list[str]:
-        """The estimators that a clip is for: of a grip, the one that fits grips."""
+        """Estimators of a clip: of a grip, the one that fits grips."""
         if EVERY[suite].of == "grip":
-            return [DIRECT]
-        return [name for name in NAMES if name in self.estimator]
+            return ["direct"]
+        return [name for name in get_args(Name) if name in self.estimator]
 
     @property
     def wanted(self) -> list[tuple[str, int, str]]:
-        """Suite, clip and estimator of every result that is asked for."""
+        """Suite, clip and estimator of every requested result."""
         clips = itertools.product(range(self.clips), self.suites)
         return [(suite, index, name) for index, suite in clips for name in self.asked(suite, index)]
 
     def cases(self, done: Mapping[tuple, Row]) -> tuple[list[Trial], int]:
-        """Presses of one clip together, since most suites show the same motion; all others one by one."""
+        """Presses of one clip together, as most suites show the same motion; all others one by one."""
         left = [key for key in self.wanted if key not in done]
-        known = {DIRECT: settings_of(DIRECT), **self.estimators}
+        known = {"direct": settings_of("direct"), **self.estimators}
 
         def group(key: tuple[str, int, str]) -> tuple[int, str]:
             return key[1], "" if EVERY[key[0]].of == "press" else key[0]
@@ -143,7 +139,7 @@ class Benchmark(Experiment):
 
     def report(self, rows: Mapping[tuple, Row]) -> Report:
         """Tables of presses and of grips."""
-        order = sorted(self.wanted, key=lambda key: (NAMES.index(key[2]), self.suites.index(key[0]), key[1]))
+        order = sorted(self.wanted, key=lambda key: (get_args(Name).index(key[2]), self.suites.index(key[0]), key[1]))
         found = [rows[key] for key in order if key in rows]
         presses, grips = ([row for row in found if EVERY[row["suite"]].of == of] for of in ("press", "grip"))
         judged = score_all(presses, self.onset)
@@ -152,22 +148,21 @@ class Benchmark(Experiment):
         if grips:
             tables["grips.csv"] = grip_table(grips)
             shown.append(tables["grips.csv"])
-        lines = [line for scores in judged for line in _estimated(scores)] + _failures(grips)
+        lines: list[tuple[str, str]] = []
+        for scores in judged:
+            count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
+            lines += [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
+        lines += _failures(grips)
         failed = not found or (bool(presses) and not any(row["status"] == OK for row in presses))
         if failed:
             lines.append(("No clip could be estimated.", "red"))
         return Report(tables, shown, lines, failed=failed)
 
 
-def _estimated(scores: Scores) -> list[tuple[str, str]]:
-    """Count the clips of a suite that were estimated, with the reasons of the others."""
-    count = f"{len(scores.rows)} of {len(scores.rows) + len(scores.failed)} clips estimated"
-    return [(f"{scores.estimator} on {scores.suite}: {count}", ""), *_failures(scores.failed)]
-
-
-def _failures(rows: Sequence[Row], most: int = 8) -> list[tuple[str, str]]:
+def _failures(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """Lines on the first eight clips that were not estimated, and a count of all."""
     failed = [row for row in rows if row["status"] != OK]
-    lines = []
+    lines, most = [], 8
     for row in failed[:most]:
         clip = f"{row['suite']}, clip {row['index']} ({row.get('regime', row['action'])})"
         lines.append((f"  {clip}: {row['status']}, {row['reason']}", "yellow"))

@@ -1,9 +1,8 @@
 """Cramér–Rao bounds of a contact: Fisher information of its dent at the truth.
 
-All on the true mesh and at the true instants, with two delays of the press as further parameters
-(`estimators.direct.motion`): whoever knows the instants leaves these out, whoever doesn't pays for them.
-Where the press is no step on a vertex, nobody knows its patch, its direction, its rise and its fall
-(`estimators.direct.patch`).
+The bounds hold on the true mesh and at the true instants, with two delays of the press as further parameters
+(`estimators.direct.motion`). `known` leaves these out where the instants are known. Where the press is no step on a
+vertex, its patch, direction, rise and fall are unknown as well (`estimators.direct.patch`).
 """
 
 import dataclasses
@@ -30,14 +29,14 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     None without a sequence.
 
     Args:
-        contact: as observed; it must begin in the true onset's frame.
+        contact: observed contact, which must begin in the true onset's frame.
     """
     sequence = contact.sequence
     if sequence is None or len(sequence.times) < LEAST_OBSERVATIONS:
         return None
     truth, logs, within = _truth(contact, scene, motion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
-    # Of what lies so many rows and columns away, as far as the sequence shows that.
+    # Depth change about the true vertex, as far as the sequence shows it.
     change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
     recentred = truth.having(depth=dataclasses.replace(sequence, change=change))
     kind = PressMotion if motion.shape == PressShape() else PatchMotion
@@ -54,7 +53,7 @@ def known(information: np.ndarray, onset: str) -> np.ndarray:
     """Information of log θ alone [..., 3, 3] from that with both delays [..., 5, 5].
 
     Args:
-        onset: whether the press began at its time stamp or anywhere within a frame of it.
+        onset: STAMP = the press began at its time stamp; BETWEEN = anywhere within a frame of it.
     """
     if onset != BETWEEN:
         return information[..., :3, :3]
@@ -65,7 +64,7 @@ def known(information: np.ndarray, onset: str) -> np.ndarray:
 
 
 def _truth(contact: Interaction, scene: Scene, motion: PressedMotion) -> tuple[Interaction, np.ndarray, float]:
-    """The contact as it truly was, its parameters [5] ([4] without an observed release), and the frame interval [s]."""
+    """True contact, its parameters [5] ([4] without an observed release), and the frame interval [s]."""
     within, step = 1 / scene.settings.fps, FITTED.time_step
     seconds = (motion.release_frame - motion.onset_frame) * within if contact.released else np.inf
     press = Press.at(scene.vertex, scene.direction, held(seconds / step, FITTED.steps))

@@ -13,7 +13,6 @@ from benchmarks.harness import Row
 from benchmarks.recovery.scores import coverage, rms
 from palpate.data.synthetic.grip import GrippedMotion
 from palpate.data.synthetic.scene import Scene, project
-from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.records import FrameEstimate, InteractionEstimate
 
 
@@ -30,13 +29,15 @@ def gripped(scene: Scene, motion: GrippedMotion, answer: list) -> Row:
     found |= {"verdict": run.verdict, "skill": grip.skill}
     if run.onset < motion.onset_frame:
         return found
-    # In pixels, which needn't be square.
+    # True force in any unit, over that of the last frame; pixels needn't be square.
     reaction = motion.reaction * np.array(scene.settings.cell)
-    return found | {"curve": force_curve(run.onset, grip, reaction, scene.settings.fps)}
+    force = reaction[run.onset + np.rint(grip.times * scene.settings.fps).astype(int)]
+    true = force @ force[-1] / (force[-1] @ force[-1])
+    return found | {"curve": np.array([true, grip.force, grip.force_sd])}
 
 
 def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
-    """Frames in which the tool or the tissue it holds moves, shape [F], bool: in others nothing shows contact."""
+    """Mask of frames in which the tool or the held tissue moves, shape [F]; the others don't show contact."""
     camera, vertex = scene.camera, scene.mesh.vertices[scene.vertex]
     held = vertex[:2] + motion.contact[:, :2]
     place = held / (vertex[2] + motion.contact[:, 2:]) * [camera.fx, camera.fy]
@@ -44,21 +45,7 @@ def moving_frames(scene: Scene, motion: GrippedMotion) -> np.ndarray:
     if motion.passage is not None:
         tip = project(motion.passage.tip, camera)
     steps = np.maximum(*(np.linalg.norm(np.diff(way, axis=0), axis=1) for way in (place, tip)))
-    # Tool or tissue moves where either has gone so far since the frame before [px].
-    return np.append(False, steps > 1.0)
-
-
-def force_curve(onset: int, grip: PullResult, reaction: np.ndarray, fps: float) -> np.ndarray:
-    """Force over that of the last frame: true, estimated, its standard deviation, shape [3, T].
-
-    Args:
-        onset: index of the run's first frame.
-        grip: the estimate.
-        reaction: true force in every frame, shape [F, A], in any unit.
-        fps: frames a second.
-    """
-    force = reaction[onset + np.rint(grip.times * fps).astype(int)]
-    return np.array([force @ force[-1] / (force[-1] @ force[-1]), grip.force, grip.force_sd])
+    return np.append(False, steps > 1.0)  # px
 
 
 def grip_table(rows: Sequence[Row]) -> pd.DataFrame:
@@ -75,18 +62,13 @@ def _quantities(rows: Sequence[Row], suite: str) -> Iterator[Row]:
         return [row[name] for row in clips if name in row]
 
     if of("curve"):
-        off, sd = curve_errors(of("curve"))
+        # The last frame's ratio is 1 by definition.
+        true, value, sd = np.concatenate([curve[:, :-1] for curve in of("curve")], axis=1)
+        known = np.isfinite(value)
+        off, sd = (value - true)[known], sd[known]
         yield {"quantity": "relative force", "n": len(off), "rmse": rms(off), "coverage90": coverage(off, sd)}
     for name, text in {"skill": "skill, mean", "contact_right": "moving frames whose contact is right"}.items():
         if of(name):
             yield {"quantity": text, "n": len(of(name)), "value": float(np.mean(of(name)))}
     determined = of("verdict").count("relative_force")
     yield {"quantity": "clips whose relative force is determined", "n": len(clips), "value": determined / len(clips)}
-
-
-def curve_errors(curves: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of forces over that of the last frame, and their standard deviations, where they are known, shape [n]."""
-    # The last frame's ratio is 1 by definition.
-    true, value, sd = np.concatenate([curve[:, :-1] for curve in curves], axis=1)
-    known = np.isfinite(value)
-    return (value - true)[known], sd[known]

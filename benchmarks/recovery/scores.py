@@ -2,7 +2,7 @@
 
 Errors and bounds are of log θ, so 0.1 means about 10 %. The bound of a clip is that of the sequence of its dent with
 the sequence's own noise. `constant_rmse_log` is the error of the best constant for exactly the clips of a row, their
-own mean: nothing that ignores its input can do better. What doesn't exist is not a number.
+own mean: nothing that ignores its input can do better. A missing value is NaN.
 """
 
 import math
@@ -38,17 +38,17 @@ class Scores:
     rows: list[Row]
     """Results with an estimate, shape [n]."""
     failed: list[Row]
-    """Results without one."""
+    """Results without an estimate."""
     regimes: np.ndarray
-    """Shape [n]."""
+    """Regimes of damping, shape [n]."""
     truth: np.ndarray
-    """Shape [n, 5]."""
+    """True quantities, shape [n, 5]."""
     estimate: np.ndarray
-    """Shape [n, 5]."""
+    """Estimated quantities, shape [n, 5]."""
     bounds: np.ndarray
     """Cramér–Rao bounds, shape [n, 5]."""
     sd: np.ndarray
-    """Estimated standard deviations, shape [n, 5]; not a number where the estimator gives none."""
+    """Estimated standard deviations, shape [n, 5]; NaN where the estimator gives none."""
 
     @property
     def errors(self) -> np.ndarray:
@@ -57,14 +57,14 @@ class Scores:
 
     @property
     def identifiable(self) -> np.ndarray:
-        """Whether each parameter's bound lies below the limit, shape [n, 3]."""
+        """Mask of parameters whose bound lies below the limit, shape [n, 3]."""
         return self.bounds[:, :3] < LIMIT
 
     def groups(self, quantity: int) -> dict[str, np.ndarray]:
-        """Clips [n] bool that a quantity's rows of the table are about, by the name in the column of regimes.
+        """Masks of clips [n] of a quantity's rows of the table, by the name in the column of regimes.
 
-        Parameters: the clips whose own bound lies below the limit, and every clip, over which intervals are calibrated
-        to hold. Ratios: all clips, and the non-identifiable ones, of which some parameter's bound is not below it.
+        Parameters: the clips whose own bound lies below the limit, and every clip, over which intervals are calibrated.
+        Ratios: all clips, and the non-identifiable ones, those with a parameter whose bound is not below the limit.
         """
         every = np.ones(len(self.rows), bool)
         if quantity < len(PARAMETERS):
@@ -79,8 +79,8 @@ def score(rows: Sequence[Row], onset: str = STAMP) -> Scores:
     """Scores of one suite and estimator.
 
     Args:
-        rows: its results, one at least.
-        onset: whether the instants of the press are known to that bound (`estimators.onset.PressSettings`).
+        rows: their results, one at least.
+        onset: instants that the bound knows (`estimators.onset.PressSettings`).
     """
     kept = [row for row in rows if row["status"] == OK]
     truth, estimate = (np.log(np.abs([row[name] for row in kept])).reshape(-1, 3) for name in ("theta", "estimate"))
@@ -119,7 +119,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def coverage(errors: np.ndarray, sd: np.ndarray) -> float:
-    """Share of errors [n] within the 90 % intervals of standard deviations [n], of those whose deviations are given."""
+    """Share of errors [n] within the 90 % intervals of those standard deviations [n] that are given."""
     known = np.isfinite(sd)
     return float((np.abs(errors[known]) <= NINETY * sd[known]).mean()) if known.any() else math.nan
 

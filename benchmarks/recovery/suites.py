@@ -1,9 +1,9 @@
 """Suites of synthetic clips (suites.yaml), each with one error of observation, and seeds that keep splits apart.
 
 Clip i of a split has the same truth in every suite, because errors of observation have random streams of their own
-(`data.synthetic.clip.draw_truth`); `mismatch` moves otherwise on the same geometry, `late-onset` moves the same, but
-later, and `oblique` and `filled` have other geometry. Regimes take turns: clip 0 is under-damped, 1 critical, 2
-over-damped, 3 under-damped again.
+(`data.synthetic.clip.draw_truth`). Exceptions: `mismatch` moves otherwise on the same geometry, `late-onset` moves the
+same, but later, and `oblique` and `filled` have other geometry. Regimes take turns: clip 0 is under-damped, 1 critical,
+2 over-damped, 3 under-damped again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,12 +21,11 @@ GRID_SIZE = (214, 120)
 """Width and height of pictures of the network's input size [px]."""
 SPLITS = {"training": 1, "validation": 2, "test": 3}
 """First number of each split's random stream."""
-LARGEST_SEED = 2**32 - 1
 
 
 @dataclass(frozen=True)
 class Suite:
-    """One way to observe, or to spoil, the clips of a split; suites.yaml says what its fields mean."""
+    """One way to observe, or to spoil, the clips of a split; suites.yaml explains the fields."""
 
     of: str
     """Load that moves the tissue: `press` or `grip`, on a sheet."""
@@ -55,7 +54,7 @@ class Suite:
 
 
 def _read() -> Iterator[Suite]:
-    """All suites, in the order of tables; what a suite says of a field counts more than what all of its kind say."""
+    """All suites, in the order of tables; a field of a suite replaces that of its kind."""
     text = Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8")
     for of, kind in yaml.safe_load(text).items():
         for name, own in kind["suites"].items():
@@ -74,7 +73,7 @@ def suite_clip_seed(split: str, seed: int, index: int) -> int:
 
     Args:
         split: training, validation or test.
-        seed: of the benchmark, 0 to 2³² - 1.
+        seed: seed of the benchmark, 0 to 2³² - 1.
         index: number of the clip in its split.
     """
     # The first number tells these streams from any other use of the same seed, such as `data.synthetic.clip.clip_seed`.

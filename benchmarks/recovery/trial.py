@@ -1,15 +1,15 @@
 """One synthetic clip against its truth: made in memory, observed as each suite says, estimated as users estimate.
 
 A trial is one clip in all wanted suites, because the true motion costs most and is the same in most of them. Its result
-is a row a suite and estimator; what doesn't exist is left out. θ = [k_s, k_d, F], lengths in scene units:
+is a row a suite and estimator; missing values are left out. θ = [k_s, k_d, F], lengths in scene units:
 
-suite, index, estimator, seed   the clip, and who was asked
+suite, index, estimator, seed   the clip and the estimator
 action, regime                  `press` or `grip`; of a press, how it is damped
 status, reason                  `ok`, or why there is no estimate: its draw failed (`no scene`), no run of contact was
                                 found (`no contact`), one was found but in another frame (`other onset`), the estimator
                                 declined (`no estimate`), or something broke (`error`)
 seconds                         time that the estimate took
-verdict, warned                 as estimated; whether the estimate says that its model doesn't explain the motion, or
+verdict, warned                 as estimated; true if the estimate warns that its model doesn't explain the motion, or
                                 that a dent may hide its bottom
 
 of a press:
@@ -57,7 +57,7 @@ from palpate.estimators.session import estimates_of
 opened: Callable[[Any], Estimator] = functools.cache(lambda settings: settings.build())
 """Every estimator is opened once a process."""
 Compare = Callable[[Any], Row]
-"""Function from a session's answer on a clip to what is known then."""
+"""Function from a session's results on a clip to a row."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Trial:
     seed: int
     """Seed of the clip."""
     wanted: Mapping[str, Mapping[str, Any]]
-    """Suites, each with the settings of estimators that are to be tried, by name; those without any are left out."""
+    """Settings of wanted estimators by name, by suite."""
     horizon: Horizon = None
     """Frames after the onset that estimators and bound observe; None = one second."""
     size: tuple[int, int] = GRID_SIZE
@@ -86,14 +86,14 @@ class TrueClip:
 
 
 def run_trial(trial: Trial) -> list[Row]:
-    """Rows of one clip for every wanted suite and estimator; what goes wrong becomes a row that says so."""
+    """Rows of one clip for every wanted suite and estimator; an error becomes a row."""
     wanted = [(suite, candidates) for suite, candidates in trial.wanted.items() if candidates]
     return [row for suite, candidates in wanted for row in _suite_rows(trial, suite, candidates)]
 
 
 @functools.lru_cache(maxsize=1)
 def _truth(settings: SceneSettings, seed: int) -> tuple[Scene, Truth]:
-    """Drawn once for all suites that only observe otherwise; these follow each other."""
+    """The truth, drawn once for suites with the same settings, which follow each other."""
     return draw_truth(settings, seed)
 
 
@@ -127,7 +127,7 @@ def _suite_rows(trial: Trial, suite: str, candidates: Mapping[str, Any]) -> list
 
 
 def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
-    """Facts that hold for all estimators, and what makes a row of an answer; None where nothing can be compared."""
+    """Facts that hold for all estimators, and the function from results to a row; None if nothing can be compared."""
     motion = clip.motion
     if isinstance(motion, GrippedMotion):
         return {}, functools.partial(gripped, clip.scene, motion)
@@ -144,7 +144,7 @@ def _judged(trial: Trial, clip: TrueClip) -> tuple[Row, Compare | None]:
 
 
 def estimated(candidate: Any, clip: TrueClip, compare: Compare) -> Row:
-    """Outcome of an estimator's answer, or why there is none."""
+    """Row of an estimator's results, or the reason for none."""
     start = time.perf_counter()
 
     def answered() -> Row:
@@ -175,11 +175,11 @@ def _pressed(onset: int, answer: list) -> Row:
 
 
 def observed_contacts(frames: list[PreparedFrame], clip: ClipInfo, horizon: Horizon = None) -> dict[int, Interaction]:
-    """Every run of contact whose onset was observed and whose tissue was followed, by the frame of its onset.
+    """Runs of contact whose onset was observed and whose tissue was tracked, by the frame of the onset.
 
     Args:
-        frames: of the whole clip.
-        horizon: how much of each counts.
+        frames: all frames of the clip.
+        horizon: observed part of each run.
     """
     runs = RunTracker(clip, FITTED.seconds)
     ended = [*(runs.push(frame) for frame in frames), runs.finish()]

@@ -1,9 +1,8 @@
-"""The depth-change sequence of a dent: how the depth around a contact changes, frame by frame, and how noisy that is.
+"""The depth-change sequence of a dent: changes of the depth around a contact, frame by frame, and their noise.
 
-A contact is one point of a dent; its surroundings sink with it and determine far more
-(docs/reports/identifiability.md).
-Pixels stay where they are while tissue moves: which of the mesh's vertices a pixel shows is for `physics.patches`
-to say.
+A contact is one point of a dent. Its surroundings sink with it and determine far more
+(docs/reports/identifiability.md). Pixels stay where they are while tissue moves: `physics.patches` finds the mesh's
+vertices that they show.
 """
 
 from __future__ import annotations
@@ -19,24 +18,21 @@ from palpate.physics.mesh import Mesh
 from palpate.physics.patches import REACH
 
 FAR = 25
-"""The depth's noise and the camera's motion are measured at least so far from the contact [grid pixels]."""
+"""Least distance from the contact at which the depth's noise and the camera's motion are measured [grid pixels]."""
 MIN_FAR = 200
-"""Fewer such pixels determine neither."""
+"""Smallest number of such pixels that determine either."""
 OUTLIER = 4.0
-"""Changes from frame to frame that are larger than this many standard deviations aren't noise."""
-STILL_SHARE = 0.1
-"""A part of the noise that stays the same over time is distinguished from none where it is this share of the other, in
-variance."""
+"""Largest change from frame to frame that is noise [standard deviations]."""
 
 
 class SequenceRecorder:
-    """Gathers the depth-change sequence of one run of contact; memory doesn't grow with the picture.
+    """Gathers the depth-change sequence of one contact; memory doesn't grow with the picture.
 
     Args:
         mesh: tissue at rest.
         vertex: the contact.
         noise: standard deviation of the depth about the smoothed tissue [scene units].
-        size: as in `DepthSequence`.
+        size: picture's width and height [px].
     """
 
     def __init__(self, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int]) -> None:
@@ -57,7 +53,7 @@ class SequenceRecorder:
 
     @classmethod
     def of(cls, mesh: Mesh, vertex: int, noise: float, size: tuple[int, int], onset: Any) -> Self | None:
-        """Begin with the first frame of a run; None where the noise isn't known."""
+        """Begin with the first frame of a contact; None if the noise isn't known."""
         if not math.isfinite(noise):
             return None
         found = cls(mesh, vertex, float(np.float32(noise)), size)
@@ -90,15 +86,15 @@ class SequenceRecorder:
         return (window - self._window * (1 + moved)).astype(np.float32)
 
     def _measure(self, left: np.ndarray) -> None:
-        """Measure the noise: errors of the far pixels [Q], and what is new since the frame before."""
+        """Measure the noise: errors of the far pixels [Q], and their change since the frame before."""
         first = self._before is None
         values, largest = (left, 1.0) if first else (left - self._before, math.sqrt(2))
         self._measured.append(self._products(values, largest * OUTLIER * self._noise))
         self._before = left
 
     def _products(self, left: np.ndarray, largest: float) -> tuple[np.ndarray, int]:
-        """Mean square of the far pixels' values, mean products with the lower and the right neighbours', [3]; how many
-        of the scarcer ones there are.
+        """Mean square of the far pixels' values, and mean products with lower and right neighbours', [3]; their least
+        number.
         """
         picture = np.full(self._rest.shape, np.nan)
         np.put(picture, self._far, np.where(np.abs(left) <= largest, left, np.nan))
@@ -107,22 +103,21 @@ class SequenceRecorder:
         return np.array([pair.mean() if len(pair) else 0.0 for pair in known]), min(map(len, known))
 
     def noise(self, count: int) -> SequenceNoise:
-        """Return the noise, as measured in the first frame and so many after it; all of it counts as new in every frame
-        where that is the first alone."""
+        """Return the noise as measured in the first frame and `count` after it; with 0, all of it counts as new."""
         later = self._measured[1 : count + 1]
         if not later:
             return SequenceNoise(self._noise, 0.0)
         (first, first_pairs), total = self._measured[0], self._noise**2
         changes, pairs = np.mean([products for products, _ in later], axis=0), sum(number for _, number in later)
         new = min(0.5 * changes[0], total)
-        still = total - new
-        if still < STILL_SHARE * new:
+        still, share = total - new, 0.1  # of the other part, below which one is not distinguished from none
+        if still < share * new:
             return SequenceNoise(self._noise, 0.0, _correlated(changes, pairs))
-        in_time = _correlated(changes, pairs) if new > STILL_SHARE * still else 1.0
+        in_time = _correlated(changes, pairs) if new > share * still else 1.0
         return SequenceNoise(math.sqrt(new), math.sqrt(still), in_time, _correlated(first - 0.5 * changes, first_pairs))
 
     def record(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
-        """The sequence of some frames, its noise as measured in the first frame and so many `known` ones after it."""
+        """Sequence of some frames, its noise as measured in the first frame and `known` ones after it."""
         size = 2 * REACH + 1
         stacked = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
         return DepthSequence(np.asarray(times, np.float64), stacked, self.noise(known), self._size)
@@ -135,7 +130,7 @@ def window_around(centre: np.ndarray) -> tuple[slice, slice]:
 
 
 def _correlated(products: np.ndarray, pairs: int) -> float:
-    """How many pixels count as one, from mean square and products with both neighbours, shape [3], of so many pairs.
+    """Number of pixels that count as one, from mean square and products with both neighbours, [3], of `pairs` pairs.
 
     The correlation of noise that was blurred by a Gaussian falls as ρ^(k²).
     """
@@ -143,8 +138,8 @@ def _correlated(products: np.ndarray, pairs: int) -> float:
     found = 1.0
     for product in neighbours if square > 0 else ():
         correlation = min(product / square, 0.999)
-        # Correlations of neighbouring pixels' noise below so many standard deviations of none's are chance. At 854x480
-        # pixels of the grid share pixels of the picture, and 0.05 is none.
+        # Correlations below three standard deviations of white noise's are chance. At 854x480 pixels of the grid share
+        # pixels of the picture, and 0.05 is none.
         if correlation > 3.0 / math.sqrt(max(pairs, 1)):
             # Noise of pixels that are farther apart than 12 grid pixels is independent.
             found *= 1 + 2 * float(np.power(correlation, np.arange(1, 13) ** 2).sum())

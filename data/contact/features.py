@@ -1,7 +1,7 @@
-"""What a network is given of one contact: its motion since the onset and the mesh around it, as one vector.
+"""Input of a network for one contact: its motion since the onset and the mesh around it, as one vector.
 
-Built the same way for training and for inference. Lengths are in units of the mesh's spacing at the contact, in which
-the sheet's equations know no other scale than F; the noise and the spacing itself are given as well.
+It is built the same way for training and for inference. Lengths are in units of the mesh's spacing at the contact, in
+which F is the only scale of the sheet's equations. The noise and the spacing itself are given as well.
 """
 
 from dataclasses import dataclass
@@ -12,17 +12,15 @@ from palpate.data.contact.interaction import Interaction
 from palpate.physics.mesh import Mesh
 
 FRAME_RATE = 25.0
-"""Motion is resampled to this rate [1/s]."""
+"""Rate to which motion is resampled [1/s]."""
 SLOTS = 25
-"""Instants after the onset that are given: one second."""
+"""Number of instants after the onset: one second."""
 NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """(row, column) offsets of the pixels around the contact."""
-FARTHEST_RIM = 32
-"""Waves from a rim farther away don't return within a second [grid pixels]."""
 FEATURES = 4 * SLOTS + 4 * len(NEIGHBOURS) + len(NEIGHBOURS) + 4
 """Length of the vector."""
 REFERENCE_SPACING = 0.0027
-"""A usual spacing of the mesh at the contact [scene units]."""
+"""Usual spacing of the mesh at the contact [scene units]."""
 KNOWN, LOADED = (tuple(range(first * SLOTS, (first + 1) * SLOTS)) for first in (2, 3))
 """Places in the vector that are 1 for instants that were observed, and for those observed under load."""
 LOG_NOISE = FEATURES - 4, FEATURES - 3
@@ -36,19 +34,18 @@ class Surroundings:
     spacing: float
     """Mean length of the contact's springs [scene units]."""
     vector: np.ndarray
-    """Neighbours in the contact's own frame over the spacing, whether there are any, distances to the rim."""
+    """Neighbours in the contact's own frame over the spacing, their presence, distances to the rim."""
 
 
 def contact_features(contact: Interaction, surroundings: Surroundings | None = None) -> np.ndarray:
     """The vector of a contact, shape [FEATURES], float32.
 
-    Every instant up to the last observation counts as known, as in training at 25 frames a second. Instants between
-    observations farther apart (lower frame rates, frames without depth) are interpolated and look like observations:
-    such a contact seems better observed than it is.
+    Every instant up to the last observation counts as known, as in training at 25 frames a second. At lower rates, or
+    without depth in some frames, instants are interpolated: the contact seems better observed than it is.
 
     Args:
         contact: with its noise, which must be known.
-        surroundings: of the contact where they are known already.
+        surroundings: known surroundings of the contact.
     """
     around = contact_surroundings(contact) if surroundings is None else surroundings
     times = contact.observation.times
@@ -75,10 +72,10 @@ def join_features(
 
     Args:
         along: motion against the force's direction over the spacing, shape [B, SLOTS].
-        known, loaded: whether an instant was observed, and was under load, shapes [B, SLOTS].
+        known, loaded: 1 for observed instants, and for those under load, shapes [B, SLOTS].
         around: `Surroundings.vector`, shape [B, 40].
-        spacing: of the meshes, shape [B] [scene units].
-        noise: of every observed coordinate, shape [B] [scene units].
+        spacing: spacing of the meshes, shape [B] [scene units].
+        noise: σ of every observed coordinate, shape [B] [scene units].
     """
     relative = (noise / spacing)[:, None]
     along = along * known
@@ -97,7 +94,7 @@ def contact_spacing(mesh: Mesh, vertex: int) -> float:
 
 
 def contact_surroundings(contact: Interaction) -> Surroundings:
-    """Where the neighbours of a contact are and how far the rim is."""
+    """Neighbours of a contact and distances to the rim."""
     mesh, vertex = contact.mesh, contact.vertex
     spacing = contact_spacing(mesh, vertex)
     normal = np.asarray(contact.direction, np.float64)
@@ -107,10 +104,11 @@ def contact_surroundings(contact: Interaction) -> Surroundings:
     number = np.full((mesh.grid_shape[0] + 2, mesh.grid_shape[1] + 2), -1)
     number[tuple(mesh.pixels.T + 1)] = np.arange(len(mesh.vertices))
     centre = mesh.pixels[vertex] + 1
+    farthest = 32  # waves from a rim farther away don't return within a second [grid pixels]
     # Around the grid there are no vertices.
-    places = centre + np.arange(1, FARTHEST_RIM)[:, None, None] * np.array(NEIGHBOURS)
+    places = centre + np.arange(1, farthest)[:, None, None] * np.array(NEIGHBOURS)
     ahead = number[tuple(np.moveaxis(places.clip(0, np.array(number.shape) - 1), -1, 0))]
     present, ends = ahead[0] >= 0, (ahead < 0) | mesh.rim[ahead]
     shape = (mesh.vertices[ahead[0]] - mesh.vertices[vertex]) @ frame.T / spacing * present[:, None]
-    rims = np.where(ends.any(axis=0), (ends.argmax(axis=0) + 1) / FARTHEST_RIM, 1.0)
+    rims = np.where(ends.any(axis=0), (ends.argmax(axis=0) + 1) / farthest, 1.0)
     return Surroundings(spacing, np.concatenate([shape.ravel(), present, rims]))

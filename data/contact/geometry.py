@@ -22,10 +22,8 @@ from palpate.data.labels import TISSUE, TOOL
 from palpate.data.source.camera import MOST_SIDE, Camera, back_project
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
 
-COARSE_POINTS = 1000
-"""Number of tool points in each pass of the two-pass search (Bini 2026, section 3.2.2)."""
 LEAST_NOISE = 3e-4
-"""Noise is never taken for smaller [scene units]: fitting planes to curved tissue errs by about 2e-4."""
+"""Least noise of depth [scene units]: fitting planes to curved tissue errs by about 2e-4."""
 
 
 class GeometryStatus(Exception):
@@ -49,10 +47,10 @@ def find_contact(tool: np.ndarray, tissue: np.ndarray, *, two_pass: bool = False
         Rows of g* in the tool cloud and of b* in the tissue cloud, and d* = ‖g* - b*‖ [scene units].
     """
     tree, candidates = KDTree(tissue), np.arange(len(tool))
-    if two_pass and len(tool) > COARSE_POINTS:
-        coarse = np.linspace(0, len(tool) - 1, COARSE_POINTS).round().astype(int)
+    if two_pass and len(tool) > 1000:
+        coarse = np.linspace(0, len(tool) - 1, 1000).round().astype(int)
         winner = coarse[np.argmin(tree.query(tool[coarse])[0])]
-        candidates = KDTree(tool).query(tool[winner], k=COARSE_POINTS)[1]
+        candidates = KDTree(tool).query(tool[winner], k=1000)[1]
     distances, nearest = tree.query(tool[candidates])
     best = int(np.argmin(distances))
     return int(candidates[best]), int(nearest[best]), float(distances[best])
@@ -60,27 +58,27 @@ def find_contact(tool: np.ndarray, tissue: np.ndarray, *, two_pass: bool = False
 
 @dataclass(frozen=True)
 class GeometrySettings(Checked, group="geometry."):
-    """How a depth map becomes a mesh and a contact."""
+    """Settings by which a depth map becomes a mesh and a contact."""
 
     height: Annotated[int, 8, MOST_SIDE] = 120
     """Rows of the grid on which everything is computed, the network's input (Bini 2026, section 3.4)."""
     width: Annotated[int, 8, MOST_SIDE] = 214
-    """Columns of that grid."""
+    """Columns of the grid."""
     max_edge: Positive = 0.05
     """Longest edge of a mesh triangle [scene units] (Bini 2026, section 3.2.2)."""
     smoothing: NotNegative = 0.0
-    """Standard deviation of the weights with which the tissue's depth is smoothed before it becomes a mesh and a
-    contact [grid pixels]; 0 leaves it as it is (paper). Noisy or rounded depth asks for 3 to 6."""
+    """Standard deviation of the weights that smooth the tissue's depth before mesh and contact [grid pixels]; 0 leaves
+    it as it is (paper). Noisy or rounded depth needs 3 to 6."""
     keep: Annotated[float, 0.01, 1] = 1.0
     """Share of the mesh's vertices that decimation keeps; the paper names 0.3 and used 1."""
     contact: Literal["touching", "nearest"] = "touching"
-    """Which frames are in contact, and where. touching: those whose masks touch or whose clouds are close, where the
-    outlines touch, unless the tool is found to hover (`data.contact.evidence`). nearest (paper): all that show tool and
-    tissue, at the closest pair over all points (equation 4), so that the tool's coming and going counts, too."""
+    """Criterion of contact. touching: masks touch or clouds are close, and the tool doesn't hover
+    (`data.contact.evidence`); the contact is at the outlines. nearest (paper): tool and tissue are visible; the contact
+    is the closest pair of points (equation 4), also while the tool comes and goes."""
     contact_pixels: NotNegative = 2.0
-    """Masks at most this far apart touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
+    """Largest distance of masks that touch [grid pixels]; neighbours are 1 apart, 0 switches the criterion off."""
     contact_distance: NotNegative = 0.02
-    """Clouds at most this far apart touch [scene units]; 0 switches the criterion off."""
+    """Largest distance of clouds that touch [scene units]; 0 switches the criterion off."""
     two_pass: bool = False
     """Search the contact pair in the paper's two passes instead of exactly."""
     force_direction: Literal["normal", "displacement"] = "normal"
@@ -88,11 +86,11 @@ class GeometrySettings(Checked, group="geometry."):
     displacement: Literal["tracked", "redetected"] = "tracked"
     """Observed displacement: of the same tissue point, or between the two frames' contact points (paper)."""
     rigid_motion: Literal["keep", "subtract"] = "keep"
-    """Whether the common motion of the tissue far from the contact (the camera's) is taken off the displacement."""
+    """Treatment of the common motion of tissue far from the contact (the camera's) in the displacement."""
     min_tool_pixels: Annotated[int, 1, MOST_SIDE**2] = 8
-    """Fewer tool pixels on the grid than this are `no_tool`."""
+    """Smallest number of tool pixels on the grid; with fewer a frame is `no_tool`."""
     min_tissue_pixels: Annotated[int, 1, MOST_SIDE**2] = 50
-    """Fewer tissue pixels on the grid than this are `no_tissue`."""
+    """Smallest number of tissue pixels on the grid; with fewer a frame is `no_tissue`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,32 +104,31 @@ class RestTissue(NamedTuple):
     """The tissue before it was touched."""
 
     depth: np.ndarray
-    """z, shape [h, w] [scene units]."""
+    """Depth z, shape [h, w] [scene units]."""
     known: np.ndarray
-    """Where that is known of tissue, hidden by the tool now or not, shape [h, w], bool."""
+    """Mask of tissue whose depth is known, hidden by the tool now or not, shape [h, w], bool."""
     beyond: np.ndarray
-    """Where something else than tissue was observed, bool [h, w]: there the tissue ends, whatever hides it now."""
+    """Mask of pixels that showed other things than tissue, bool [h, w]: there the tissue ends, even if hidden now."""
 
 
 @dataclass(frozen=True)
 class FrameGeometry:
-    """What one frame in contact gives the simulator (Bini 2026, section 3.2.2); the mesh is made on demand."""
+    """Input of the simulator from one frame in contact (Bini 2026, section 3.2.2); the mesh is made on demand."""
 
     make_mesh: Callable[[], Mesh]
-    """Return the tissue's surface."""
+    """Function that returns the tissue's surface."""
     tool_point: np.ndarray
-    """g*, shape [3] [scene units]; not a number where the tool has no depth."""
+    """Tool's point g* of the contact pair, shape [3] [scene units]; NaN if the tool has no depth."""
     tissue_point: np.ndarray
-    """b*, shape [3] [scene units]."""
+    """Tissue's point b* of the contact pair, shape [3] [scene units]."""
     distance: float
-    """d* [scene units]; not a number where the tool has no depth."""
+    """Distance d* of the contact pair [scene units]; NaN if the tool has no depth."""
     pixel: tuple[int, int]
     """Grid pixel (u, v) of b*."""
     touching: bool
-    """Whether the masks touch."""
+    """True if the masks touch."""
     noise: float = math.nan
-    """Standard deviation of the tissue's depth about its smoothed surface [scene units]; not a number without
-    `GeometrySettings.smoothing`."""
+    """Standard deviation of the tissue's depth about its smoothed surface [scene units]; NaN without smoothing."""
     surface: np.ndarray | None = None
     """Depth of the visible tissue by which the mesh is made, shape [h, w] [scene units]; None = another."""
 
@@ -142,12 +139,12 @@ class FrameGeometry:
 
     @cached_property
     def vertex(self) -> int:
-        """idx*: the mesh vertex nearest to the contact point."""
+        """Mesh vertex idx* nearest to the contact point."""
         return nearest_vertex(self.mesh, self.tissue_point)
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """n*, shape [3], unit length, towards the camera (equations 5-8)."""
+        """Contact normal n*, shape [3], unit length, towards the camera (equations 5-8)."""
         return contact_normal(self.mesh, self.vertex)
 
 
@@ -157,10 +154,9 @@ def frame_geometry(
 ) -> FrameGeometry:  # fmt: skip
     """Contact and mesh of one frame.
 
-    With `contact` touching a frame is in contact when the masks touch or the clouds are close. Monocular depth of a
-    shiny tool is often wrong and its outline seldom, so where the masks touch only pixels along the touching outline
-    can form the contact pair: the contact then lies where the tool visibly touches, whatever the depth of the rest of
-    the tool. With nearest, the paper's, the closest pair over all points counts, however far apart it is.
+    With `contact` touching a frame is in contact if the masks touch or the clouds are close. If the masks touch, only
+    pixels along the touching outline can form the contact pair: monocular depth of a shiny tool is often wrong, its
+    outline seldom. With nearest, the paper's, the closest pair over all points counts, however far apart it is.
 
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.
@@ -220,7 +216,7 @@ def smooth_rest(
     """The tissue at rest, smoothed as the settings say, and the noise as in `FrameGeometry`.
 
     Args:
-        depth, labels: of a frame, as in `frame_geometry`.
+        depth, labels: depth and labels of a frame, as in `frame_geometry`.
         settings: `smoothing` counts.
         rest: the tissue at rest; None = as it is visible.
     """
@@ -240,7 +236,7 @@ def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySetting
         sheet: the tissue's points on the grid, shape [h, w, 3] [scene units].
         labels: label map, shape [h, w].
         settings: `max_edge` and `keep` count.
-        rest: where tissue is known.
+        rest: known tissue.
 
     Raises:
         GeometryStatus: `bad_depth` where no triangle is left.
@@ -255,7 +251,7 @@ def tissue_mesh(sheet: np.ndarray, labels: np.ndarray, settings: GeometrySetting
 def _mesh_around(
     row: int, column: int, sheet: np.ndarray, labels: np.ndarray, settings: GeometrySettings, rest: RestTissue
 ) -> tuple[Callable[[], Mesh], bool]:
-    """Return what makes the mesh as in `tissue_mesh`, once, and whether a grid pixel is known to be its vertex."""
+    """Return a cached function for the mesh of `tissue_mesh`, and whether a grid pixel is known to be its vertex."""
     make_mesh = cache(partial(tissue_mesh, sheet, labels, settings, rest))
     top, left = max(row - 2, 0), max(column - 2, 0)
     around = np.s_[top : row + 3, left : column + 3]

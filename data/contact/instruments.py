@@ -1,4 +1,4 @@
-"""Which instrument is which: a number for each, that it keeps from frame to frame and when it crosses another."""
+"""Identities of instruments: a number for each, kept from frame to frame and when it crosses another."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.flow import FlowCarrier
 
 MISSED = 12
-"""So many frames in a row an instrument that isn't seen keeps its number and its place."""
+"""Number of frames in a row for which an unseen instrument keeps its number and its place."""
 
 
 class InstrumentNumbers:
@@ -18,9 +18,9 @@ class InstrumentNumbers:
         self._carrier = FlowCarrier()
         self._gray: np.ndarray | None = None
         self._numbers = np.zeros((0, 0), np.uint8)
-        """Where instruments were in the frame before."""
+        """Numbers of the instruments at every pixel in the frame before."""
         self._missed: dict[int, int] = {}
-        """For how many frames each of them has not been seen."""
+        """Number of frames for which each instrument has not been seen."""
         self._next = 1
 
     def push(self, prepared: PreparedFrame) -> np.ndarray:

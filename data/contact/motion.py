@@ -1,6 +1,6 @@
 """Motion of the tissue at the contact: between two frames, and from the onset of contact through its release.
 
-A contact point that is detected anew in every frame slides over the tissue with the tool. Following the same tissue
+A contact point that is detected anew in every frame slides over the tissue with the tool. A track of the same tissue
 point instead (dense optical flow, then its depth) observes deformation.
 """
 
@@ -25,16 +25,11 @@ from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 LOST = "The tissue that was touched first is not followed here or has no depth; nothing of its motion is observed."
 DENTED = "Contact begins while tissue is or may be dented from an earlier one, so its shape at rest isn't known."
 REST_FRAMES = 3
-"""Last frames before a contact in which tissue that is followed must have returned."""
-SHADING_NOISE = 0.02
-"""Noise of depth from shading: its surfaces are smooth, and change from one picture to the next [scene units]. Where
-the camera moves they do so by 3 to 6 % (docs/reports/video.md)."""
-REST_SIGMA = 4.0
-"""It hasn't where their mean lies farther from rest than this many of its standard deviations."""
+"""Number of frames before a contact in which tracked tissue must have returned to rest."""
 
 
 class ContactMotion:
-    """Links each frame of a clip with the next: observed displacement, run of contact and its tracked point."""
+    """Links each frame of a clip with the next: observed displacement, contact and its tracked point."""
 
     def __init__(
         self, camera: Camera, size: tuple[int, int], settings: PrepareSettings, *, from_shading: bool = False
@@ -44,21 +39,22 @@ class ContactMotion:
             camera: intrinsics of the grid.
             size: (width, height) of the full picture [px].
             settings: geometry, `bridge_frames` and `track_seconds` count.
-            from_shading: whether depth is the shape that shading tells.
+            from_shading: True = depth is the shape by shading.
         """
-        self._least_noise = SHADING_NOISE if from_shading else LEAST_NOISE
+        # Surfaces from shading are smooth, and change from one picture to the next (docs/reports/video.md).
+        self._least_noise = 0.02 if from_shading else LEAST_NOISE
         self.camera, self.size, self.settings = camera, size, settings.geometry
         self.bridge_frames, self.track_seconds = settings.bridge_frames, settings.track_seconds
         self._tracker = TissueTracker()
         self._rest = RestDepth()
         self._smooth = -1, np.empty(0)
-        """Index and smoothed depth of the latest frame that was asked for."""
+        """Index and smoothed depth of the frame smoothed last."""
         self._run: ContactRun | None = None
         self._last_contact: int | None = None
         self._last_time = -math.inf
         self._left: deque[float] = deque(maxlen=REST_FRAMES)
         self._refused = False
-        """Whether the contact under way began on tissue that was not at rest."""
+        """True if the contact under way began on tissue that was not at rest."""
 
     def link(self, before: PreparedFrame, after: PreparedFrame) -> None:
         """Fill in the motion of `before`, and the run, tracked point and backward motion of `after`."""
@@ -91,11 +87,11 @@ class ContactMotion:
 
     @property
     def settled(self) -> bool:
-        """Whether nothing more will change about the frames linked so far."""
+        """True if nothing more will change about the frames linked so far."""
         return self._run is None or self._run.young is None
 
     def settle(self) -> None:
-        """Decide where a young run's contact presses; nothing about the frames linked so far changes after that."""
+        """Fix the place of a young contact, after which nothing about the frames linked so far changes."""
         if self._run is not None:
             settle_run(self._run, self.size, self._lift, self._tracker)
 
@@ -125,7 +121,7 @@ class ContactMotion:
             run.pixel = moved if np.isfinite(run.drift).all() else np.full(2, math.nan)
 
     def _update_run(self, before: PreparedFrame, after: PreparedFrame) -> None:
-        """Begin a run at a contact after frames known to be without one; end it some time after its release."""
+        """Begin a track at a contact after frames known to be without one; end it some time after its release."""
         index = after.frame.index
         missing = math.inf if self._last_contact is None else index - self._last_contact - 1
         if not after.in_contact:
@@ -134,14 +130,14 @@ class ContactMotion:
                 self._run = None
         elif missing > self.bridge_frames:
             self.settle()
-            # What has darkened since is compared with the light at rest, whatever touched the tissue before.
+            # Darkening is measured against the light at rest, also after earlier contacts.
             self._refused = after.press is None and self._dented(after)
             began = (before.out_of_contact or after.press is not None) and not self._refused
             self._run = self._begin(after) if began else None
             self._left.clear()
 
     def _note_return(self, run: ContactRun, latest: PreparedFrame) -> None:
-        """Remember how far the followed tissue is from rest while nothing touches it."""
+        """Record the distance of tracked tissue from rest while nothing touches it."""
         if latest.in_contact:
             self._left.clear()
         elif run.young is None:
@@ -149,13 +145,13 @@ class ContactMotion:
             self._left.append(float((latest.track_position - rest.mesh.vertices[rest.vertex]) @ rest.normal))
 
     def _dented(self, onset: PreparedFrame) -> bool:
-        """Whether the tissue may still be dented from an earlier contact; without a noise level nobody can tell."""
+        """Return whether the tissue may still be dented from an earlier contact; False without a noise level."""
         if self.settings.smoothing == 0:
             return False
         followed = self._run is not None and self.settings.rigid_motion == "subtract" and len(self._left) == REST_FRAMES
         if followed and np.isfinite(self._left).all():
             # Not over the root of REST_FRAMES: rounding errors and the camera's drift are the same in all of them.
-            return abs(float(np.mean(self._left))) > REST_SIGMA * self._run.onset.contact.noise
+            return abs(float(np.mean(self._left))) > 4.0 * self._run.onset.contact.noise
         # Tissue that isn't followed counts as being at rest again after a second.
         return onset.frame.time_s - self._last_time < 1.0
 
@@ -184,7 +180,7 @@ class ContactMotion:
         return max(smooth_surface(onset.depth, tissue, self.settings.smoothing)[1], self._least_noise)
 
     def _follow_contact(self, source: PreparedFrame, target: PreparedFrame) -> np.ndarray:
-        """Motion of the source's contact point to the target, shape [3]; not a number where it can't be followed."""
+        """Motion of the source's contact point to the target, shape [3]; NaN where it can't be tracked."""
         if not source.in_contact:
             return np.full(3, math.nan)
         pixel = picture_pixel(source, self.size)

@@ -1,7 +1,7 @@
-"""On which side of a mask's outline a pixel is, by the depth around it: outlines are off by a pixel or two.
+"""Corrections of masks at their outlines, which are off by a pixel or two, by the depth around them.
 
-A tool lies between the camera and the tissue. So depth says on which side of a frayed outline a pixel is: what it shows
-in front of the tissue is tool, and what lies behind the tissue around it is no tool.
+A tool lies between the camera and the tissue. So a pixel at a frayed outline is tool if it shows something in front of
+the tissue, and no tool if it lies behind the tissue around it.
 """
 
 import cv2
@@ -10,9 +10,7 @@ import numpy as np
 from palpate.data.labels import TISSUE, TOOL
 
 FRAY = 2
-"""Outlines are uncertain by this much [grid pixels]."""
-OUTLINE_REACH = 4
-"""The tool's outline takes its depth from the tool within this many rows and columns [grid pixels]."""
+"""Uncertainty of outlines [grid pixels]."""
 
 
 def near(mask: np.ndarray, reach: int = FRAY) -> np.ndarray:
@@ -34,7 +32,7 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.
         labels: label map, shape [h, w].
-        noise: standard deviation of the depth [scene units]; not a number leaves the labels as they are.
+        noise: standard deviation of the depth [scene units]; NaN leaves the labels as they are.
     """
     if not noise > 0:
         return labels
@@ -52,18 +50,18 @@ def uncover(depth: np.ndarray, labels: np.ndarray, noise: float) -> np.ndarray:
 def tool_depth(depth: np.ndarray, tool: np.ndarray) -> np.ndarray:
     """Depth in which the tool's outline lies as near as the tool next to it, shape [h, w] [scene units].
 
-    A pixel of a frayed outline shows what is behind the tool, and makes a hovering tool seem to touch it.
+    A pixel of a frayed outline shows the tissue behind the tool, and makes a hovering tool seem to touch it.
 
     Args:
         depth: z, shape [h, w] [scene units], 0 = invalid.
         tool: pixels of the tool, shape [h, w], bool.
     """
-    valid = tool & (depth > 0)
-    rows, columns = np.nonzero(valid & near(~tool, OUTLINE_REACH))
+    valid, reach = tool & (depth > 0), 4  # rows and columns within which an outline takes its depth from the tool
+    rows, columns = np.nonzero(valid & near(~tool, reach))
     if len(rows) == 0:
         return depth
-    padded = np.pad(np.where(valid, depth, np.inf), OUTLINE_REACH, constant_values=np.inf)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * OUTLINE_REACH + 1,) * 2)
+    padded = np.pad(np.where(valid, depth, np.inf), reach, constant_values=np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach + 1,) * 2)
     values = np.sort(windows[rows, columns].reshape(len(rows), -1), axis=1)
     # The nearest quarter: more than half of a corner's surroundings can be background.
     quarter = np.isfinite(values).sum(axis=1) // 4

@@ -1,4 +1,4 @@
-"""Where a young contact presses: the tissue near the detected place that has yielded most in the first frames."""
+"""Place of a young contact: the tissue near the detected place that has yielded most in the first frames."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,27 +11,24 @@ from palpate.data.contact.tissue_points import grid_to_picture, picture_to_grid
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.tissue import TissueTemplate, TissueTracker
 
-REFINE_REACH = 3
-"""The tissue that yields most is looked for this far from where the contact was detected, and from the outline where
-the masks touch [grid pixels]."""
 REFINE_FRAMES = 5
-"""Frames after the onset that decide where the contact is."""
+"""Number of frames after the onset that decide on the contact's place."""
 
 
 @dataclass
 class ContactRun:
-    """A run of contact whose onset was observed, and the tissue point that is followed from it."""
+    """A contact whose onset was observed, and the tissue point that is tracked from it."""
 
     onset: PreparedFrame
     """The first frame in contact."""
     pixel: np.ndarray
-    """The followed point in the latest frame, (u, v) [full-picture px]; not a number once it is lost."""
+    """Tracked point in the latest frame, (u, v) [full-picture px]; NaN once it is lost."""
     template: TissueTemplate
-    """The tissue around it at the onset."""
+    """Template of the tissue around it at the onset."""
     drift: np.ndarray
     """Rigid motion subtracted so far, shape [3] [scene units]."""
     young: list[tuple[PreparedFrame, np.ndarray, np.ndarray]] | None
-    """Frames after it with the point's pixel and the drift in each; None once the contact's place is settled."""
+    """Frames after the onset with the point's pixel and the drift in each; None once the contact's place is settled."""
 
 
 def pressed_pixel(
@@ -39,28 +36,28 @@ def pressed_pixel(
 ) -> tuple[int, int] | None:
     """Grid pixel (u, v) whose depth changes most from its rest shape, on average over later frames.
 
-    Tissue that is pressed away from the camera is looked for all along the outline where the masks touch, since frayed
-    outlines put the closest pair of points anywhere on it. Tissue that comes nearer counts only close to where the
-    contact was detected and where none is pressed: a tool pixel that is taken for tissue looks the same.
+    Tissue that is pressed away from the camera is sought all along the outline where the masks touch: frayed outlines
+    put the closest pair of points anywhere on it. If none is pressed, tissue that comes nearer counts, but only close
+    to the detected contact: a tool pixel that is taken for tissue looks the same.
 
     Args:
         onset: first frame in contact, its mesh at rest.
-        later: following frames, where each has the contact's tissue, (u, v) [grid pixels], and by how much its depth is
-            larger because of the camera [scene units].
-        sigmas: the mean change must exceed this many of its standard deviations, and one more away from the detected
-            place, where many more pixels are looked at.
+        later: following frames, each with the place of the contact's tissue, (u, v) [grid pixels], and the change of
+            its depth by the camera [scene units].
+        sigmas: threshold of the mean change over its standard deviation; one more away from the detected place, where
+            many more pixels are compared.
     """
     mesh, (u, v), noise = onset.contact.mesh, onset.contact.pixel, onset.contact.noise
-    outline = near(onset.labels == TISSUE, REFINE_REACH) & near(onset.labels == TOOL, REFINE_REACH)
-    close = (np.abs(mesh.pixels - (v, u)) <= REFINE_REACH).all(axis=1)
+    reach = 3  # of the search, from the detected contact and from the outline where the masks touch [grid pixels]
+    outline = near(onset.labels == TISSUE, reach) & near(onset.labels == TOOL, reach)
+    close = (np.abs(mesh.pixels - (v, u)) <= reach).all(axis=1)
     chosen = np.flatnonzero((close | (outline[tuple(mesh.pixels.T)] & onset.contact.touching)) & ~mesh.rim)
     if len(chosen) == 0 or not later:
         return None
     changes, bare = (np.stack(parts) for parts in zip(*(_changes(onset, chosen, *item) for item in later), strict=True))
     share = (bare.sum(axis=0) + (onset.labels[tuple(mesh.pixels[chosen].T)] == TISSUE)) / (len(later) + 1)
     needed = (sigmas + ~close[chosen]) * noise
-    # What lies clearly in front of the tissue at rest is the tool.
-    # Depth so many standard deviations nearer than the tissue at rest is the tool's.
+    # Depth five standard deviations nearer than the tissue at rest is the tool's.
     pressed = _largest(np.where(changes > -5.0 * noise, changes, np.nan), needed, share, noise)
     pulled = np.where(close[chosen], -changes, np.nan)
     found = pressed if pressed is not None else _largest(pulled, needed, share, noise)
@@ -73,10 +70,7 @@ def pressed_pixel(
 def _changes(
     onset: PreparedFrame, chosen: np.ndarray, prepared: PreparedFrame, place: np.ndarray, away: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """By how much the chosen vertices are deeper than at rest, and whether the mask shows them as tissue, shapes [P].
-
-    The change [scene units] is not a number where the tissue is hidden.
-    """
+    """Changes of the chosen vertices' depth since rest [scene units], NaN if hidden, and mask of tissue, shapes [P]."""
     mesh, (u, v) = onset.contact.mesh, onset.contact.pixel
     rows, columns = (mesh.pixels[chosen] + np.rint(place[::-1] - (v, u)).astype(int)).T
     height, width = prepared.depth.shape
@@ -91,13 +85,13 @@ def _changes(
 def _largest(changes: np.ndarray, needed: np.ndarray, share: np.ndarray, noise: float) -> int | None:
     """The vertex of the largest mean change, or None where that isn't clear.
 
-    Of vertices that change as much but for the noise it is the one that the masks show as tissue most often: the tip of
-    the tool that presses goes as deep.
+    Of vertices that change equally, up to the noise, it is the one that the masks show as tissue most often: the tip of
+    the pressing tool goes as deep.
 
     Args:
-        changes: shape [frames, P] [scene units]; not a number where a vertex wasn't visible.
-        needed: what a single change must exceed, shape [P]; the mean of n less by √n.
-        share: of the frames in which the mask shows the vertex as tissue, shape [P].
+        changes: shape [frames, P] [scene units]; NaN where a vertex wasn't visible.
+        needed: limit of a single change, shape [P]; that of a mean of n changes is smaller by √n.
+        share: share of frames in which the mask shows the vertex as tissue, shape [P].
         noise: standard deviation of a change.
     """
     count = np.isfinite(changes).sum(axis=0)
@@ -122,7 +116,7 @@ Lift = Callable[[np.ndarray, PreparedFrame], np.ndarray]
 
 
 def settle_run(run: ContactRun, size: tuple[int, int], lift: Lift, tracker: TissueTracker) -> None:
-    """Move a young run's contact to the nearby tissue that has yielded most, and follow that; a settled one stays.
+    """Move a young contact to the nearby tissue that has yielded most, and track that; a settled one stays.
 
     Depth noise shifts the closest pair of points by a pixel or two, and a point load makes a dent hardly wider.
 

@@ -1,4 +1,4 @@
-"""What the tissue's depth was before it was touched, from all frames that show it at rest."""
+"""Depth of the tissue before it was touched, from all frames that show it at rest."""
 
 from collections import deque
 
@@ -11,7 +11,7 @@ from palpate.data.labels import OTHER
 from palpate.data.prepared import PreparedFrame
 
 FRAMES = 8
-"""Frames before a contact whose depths are averaged."""
+"""Number of frames before a contact whose depths are averaged."""
 
 
 class RestDepth:
@@ -32,13 +32,12 @@ class RestDepth:
     def at(self, onset: PreparedFrame) -> RestTissue:
         """Depth of the first frame in contact with its tissue averaged over the remembered frames.
 
-        A frame is moved by the shift of the picture between the two, and by the median difference of the depths, so
-        that a slowly moving camera does no harm. Next to the tool, whose frayed outline may count as tissue, the
-        remembered frames alone count where they show the tissue.
+        A frame is moved by the shift of the picture between the two, and by the median difference of the depths: the
+        camera may move slowly. Next to the tool, whose frayed outline may count as tissue, only the remembered frames
+        count if they show the tissue.
 
-        Tissue is known that is visible now, or was visible where the tool is now: a hole in the mesh where the tool
-        presses would change how the tissue answers. So would an edge of the tissue behind the tool that is taken for
-        hidden.
+        Tissue is known that is visible now, or was visible where the tool is now. A hole in the mesh where the tool
+        presses would change its response, and so would an edge of the tissue behind the tool that is taken for hidden.
         """
         tissue, tool = (onset.labels == TISSUE) & (onset.depth > 0), onset.labels == TOOL
         total, count = np.where(tissue, onset.depth, 0).astype(np.float64), tissue.astype(np.float64)

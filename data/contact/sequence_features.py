@@ -1,8 +1,8 @@
-"""What a network is given of a dent's sequence: the amounts of a few shapes in it at every instant, as one vector.
+"""Input of a network for a dent's sequence: the amounts of a few shapes in it at every instant, as one vector.
 
-A sheet of equal springs answers a point load with a function of its graph Laplacian L, so that its dents lie in the
-span of the static answers of sheets with elastic foundations, (L + α)⁻¹δ. With six of them the bounds of 12 simulated
-contacts were at most 11 % wider than the whole sequence's, mostly 1 to 5 % (a development run that no command repeats).
+The response of a sheet of equal springs to a point load is a function of its graph Laplacian L. So its dents lie in the
+span of the static responses of sheets with elastic foundations, (L + α)⁻¹δ. With six of them the bounds of 12 simulated
+contacts were at most 11 % wider than the whole sequence's.
 """
 
 import functools
@@ -17,22 +17,24 @@ from palpate.physics.depth import REACH, DepthSequence
 from palpate.physics.mesh import grid_springs, laplacian
 
 SHAPES = 6
-"""Shapes of a dent."""
+"""Number of shapes of a dent."""
 FOUNDATIONS = (0.02, 20.0)
 """Smallest and largest α, over the springs' stiffness."""
 MARGIN = 13
-"""The sheet that the shapes are computed on ends so far beyond the depth-change sequence [grid pixels]."""
+"""Margin of the shapes' sheet beyond the depth-change sequence [grid pixels]."""
 RIDGE = 1e-3
-"""Keeps shapes that hidden pixels leave undetermined small."""
+"""Ridge regularisation of shapes that hidden pixels leave undetermined."""
 ROUNDED = 1.4
-"""Factor by which the noise is larger that a network with sequences is given where depth was rounded: errors of still
-tissue are then the same in all frames and in neighbouring pixels, and inform as little as fewer, larger ones."""
+"""Factor on the noise given to a network with sequences if depth was rounded.
+
+Errors of still tissue are then the same in all frames and in neighbouring pixels, as informative as fewer, larger ones.
+"""
 LARGE = 40.0
-"""A large amount of a shape, in units of the mesh's spacing."""
+"""Large amount of a shape, in units of the mesh's spacing."""
 SEQUENCE_FEATURES = 2 * SLOTS * SHAPES + 2
 """Length of the vector."""
 WITHIN = SEQUENCE_FEATURES - 2
-"""Place in it of how well the instants of the press are known: 0 = exactly."""
+"""Place in the vector of the uncertainty of the press's instants; 0 = exact."""
 
 
 @functools.cache
@@ -53,10 +55,10 @@ def dent_shapes() -> np.ndarray:
 
 
 def shape_amounts(change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Amounts of the shapes that explain a depth-change sequence best, and how errors of its pixels spread in them.
+    """Amounts of the shapes in a depth-change sequence by least squares, and their error propagation.
 
     Args:
-        change: shape [N, P]; not a number where nothing is visible.
+        change: shape [N, P]; NaN where nothing is visible.
 
     Returns:
         Amounts, shape [N, SHAPES]; and factors L of their covariances L·Lᵀ for independent errors of variance 1,
@@ -72,9 +74,9 @@ def shape_amounts(change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def motion_in_sequence(contact: Interaction) -> np.ndarray:
     """The contact's motion as its own pixel of the depth-change sequence shows it, shape [N, 3] [scene units].
 
-    Its depth changes along the pixel's ray. Where a pixel of the grid is one of the picture this is what is followed,
-    and the followed motion is given; so it is at instants without a sequence. Where it is the mean of several it shows
-    neighbours as well, and following slips by more than a dent is wide.
+    Its depth changes along the pixel's ray. The tracked motion is given instead if a pixel of the grid is one of the
+    picture, and at instants without a sequence. A pixel that is the mean of several shows neighbours as well, and
+    tracks slip by more than a dent's width.
     """
     sequence, mesh, moved = contact.sequence, contact.mesh, contact.moved.copy()
     if sequence is None or not len(sequence.times) or not sequence.is_finer_than(mesh.grid_shape):
@@ -98,7 +100,7 @@ def dent_features(contact: Interaction, within: float) -> np.ndarray:
 
     Args:
         contact: with or without a depth-change sequence.
-        within: as in `sequence_features`.
+        within: uncertainty of the instants [s], as in `sequence_features`.
     """
     sequence, noise = contact.sequence, network_noise(contact)
     shown = contact.having(point=contact.observation.moved(motion_in_sequence(contact), noise))
@@ -111,8 +113,8 @@ def sequence_features(sequence: DepthSequence | None, spacing: float, noise: flo
 
     Args:
         sequence: depth-change sequence of a contact; None where it has none.
-        spacing: of its mesh [scene units].
-        noise: of every pixel [scene units].
+        spacing: spacing of the mesh [scene units].
+        noise: σ of every pixel [scene units].
         within: the press began, and ended, at most so long before or after the time stamps [s].
     """
     amounts, present = np.zeros((SLOTS, SHAPES)), False
@@ -137,10 +139,10 @@ def join_sequence_features(
     """Vectors of many depth-change sequences, shape [B, SEQUENCE_FEATURES], float32.
 
     Args:
-        amounts: of the shapes at every slot, 0 where not visible, shape [B, SLOTS, SHAPES] [scene units].
+        amounts: amounts of the shapes at every slot, 0 where not visible, shape [B, SLOTS, SHAPES] [scene units].
         spacing, noise: shapes [B] [scene units].
-        within: of the instants, shape [B] [s].
-        present: whether there is a depth-change sequence, shape [B], bool.
+        within: uncertainty of the instants, shape [B] [s].
+        present: mask of contacts with a depth-change sequence, shape [B].
     """
     relative = amounts * present[:, None, None] / spacing[:, None, None]
     scaled = np.arcsinh(relative / (2 * (noise / spacing)[:, None, None])) / 5

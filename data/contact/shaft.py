@@ -1,7 +1,7 @@
-"""How long a scene unit is, by the known diameter of an instrument's shaft: a cylinder between two straight edges.
+"""Length of a scene unit, by the known diameter of an instrument's shaft: a cylinder between two straight edges.
 
-The planes through the camera's centre and the two edges touch the cylinder. With their normals n₁ and n₂ its axis has
-the direction n₁ × n₂, and with 2α, the angle between them, lies r / sin α from the centre, half-way between them.
+The planes through the camera's centre and the two edges touch the cylinder. Its axis has the direction n₁ × n₂ of their
+normals. With 2α, the angle between the planes, it lies r / sin α from the centre, half-way between them.
 """
 
 import math
@@ -17,19 +17,10 @@ from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 
-TRIES, NEAR, MARGIN = 200, 2.0, 3
-"""Lines that are tried on an edge, how near to one its points lie, and how near to the picture's border outlines are
-the border's own [px]."""
-LEAST_EDGE, LEAST_LENGTHS, LEAST_SHARE, LARGEST_ANGLE = 40.0, 1.2, 0.4, 0.35
-"""Least length of the edges of a shaft that is seen well, in px and in its widths, the share of the outline on its side
-that lies on an edge, and the largest angle between the two [rad]."""
-CORRELATED, ROUNDED = 8.0, math.sqrt(1 / 12)
-"""Points of an outline next to each other that err alike, and the standard deviation of where an edge lies between the
-pixels that are in and out of a mask [px]."""
-MASK_SD, DIAMETER_SD = 0.25, 0.01
-"""Standard deviations that all frames share: of where masks end [px], and of the logarithm of a stated diameter."""
-LARGEST_SD, LEAST_SAMPLES = 0.2, 8
-"""Frames whose length is known less well, as a logarithm, or that show the depth of fewer of its pixels, tell none."""
+LEAST_EDGE = 40.0
+"""Least length of the edges of a shaft that is seen well [px]."""
+LEAST_SAMPLES = 8
+"""Smallest number of a shaft's pixels with depth in a frame that counts."""
 NOT_SEEN = (
     "--shaft-diameter tells no millimetres: in no frame are two straight edges of a shaft seen well, with depth of the "
     "shaft (of tissue at its tip, where depth is guessed from the pictures); lengths stay in scene units"
@@ -41,14 +32,14 @@ class Edge:
     """A straight edge of a shaft in the picture [px]."""
 
     place: np.ndarray
-    """Its middle (column, row), shape [2]."""
+    """Middle of the edge (column, row), shape [2]."""
     normal: np.ndarray
     """Unit vector out of the shaft, shape [2]."""
     length: float
     place_sd: float
-    """Standard deviation of where it lies across, as its points tell."""
+    """Standard deviation of the edge's place along the normal, by its points."""
     angle_sd: float
-    """Standard deviation of its direction [rad]."""
+    """Standard deviation of the edge's direction [rad]."""
 
     def plane(self, camera: Camera, moved: float = 0.0, turned: float = 0.0) -> np.ndarray:
         """Normal of the plane through the camera's centre, out of the shaft, shape [3], unit length."""
@@ -64,14 +55,15 @@ def shaft_edges(tool: np.ndarray) -> tuple[Edge, Edge] | None:
     if not outlines:
         return None
     points = max(outlines, key=cv2.contourArea)[:, 0].astype(np.float64)
-    inside = ((points >= MARGIN) & (points < np.array(tool.shape[::-1]) - MARGIN)).all(axis=1)
+    inside = ((points >= 3) & (points < np.array(tool.shape[::-1]) - 3)).all(axis=1)  # not the border's own
     across = np.linalg.eigh(np.cov(points.T))[1][:, 0]
     side = (points - points.mean(axis=0)) @ across
     one, other = (_edge(points[inside & (sign * side > 0)], sign * across) for sign in (1, -1))
     if one is None or other is None:
         return None
-    least = max(LEAST_EDGE, LEAST_LENGTHS * abs(one.normal @ (one.place - other.place)))
-    facing = min(one.length, other.length) > least and one.normal @ other.normal < -math.cos(LARGEST_ANGLE)
+    least = max(LEAST_EDGE, 1.2 * abs(one.normal @ (one.place - other.place)))  # 1.2 widths of the shaft
+    # Seen well, the two edges enclose an angle of 0.35 at most.
+    facing = min(one.length, other.length) > least and one.normal @ other.normal < -math.cos(0.35)
     return (one, other) if facing else None
 
 
@@ -79,22 +71,23 @@ def _edge(points: np.ndarray, outwards: np.ndarray) -> Edge | None:
     """The straight line on which most of one side of an outline lies, [P, 2]; None where too little does."""
     if len(points) < LEAST_EDGE:
         return None
-    first, second = points[np.random.default_rng(0).integers(len(points), size=(2, TRIES))]
+    first, second = points[np.random.default_rng(0).integers(len(points), size=(2, 200))]
     apart = np.maximum(np.linalg.norm(second - first, axis=1), 1.0)[:, None]
     normals = (second - first)[:, ::-1] * [1, -1] / apart
-    near = np.abs(points @ normals.T - (first * normals).sum(axis=1)) < NEAR
+    near = np.abs(points @ normals.T - (first * normals).sum(axis=1)) < 2.0
     on = near[:, (near.sum(axis=0) * (apart[:, 0] > LEAST_EDGE / 4)).argmax()]
     for _ in range(3):
         place = points[on].mean(axis=0)
         normal = np.linalg.eigh(np.cov(points[on].T))[1][:, 0]
         off = (points - place) @ normal
-        on = np.abs(off) < NEAR
-        if on.sum() < max(LEAST_EDGE / 2, LEAST_SHARE * len(points)):
+        on = np.abs(off) < 2.0
+        if on.sum() < max(LEAST_EDGE / 2, 0.4 * len(points)):
             return None
     normal = normal * np.sign(normal @ outwards)
     along = (points[on] - place) @ [-normal[1], normal[0]]
     steps = 1 + np.ptp(along) * np.abs(normal).min()
-    variance = np.square(off[on]).mean() * CORRELATED / on.sum() + (ROUNDED / steps) ** 2
+    # Eight neighbouring points of an outline have the same error; an edge lies anywhere between two pixels.
+    variance = np.square(off[on]).mean() * 8.0 / on.sum() + (math.sqrt(1 / 12) / steps) ** 2
     # A mask's last pixels lie half a pixel within it, along the axis that the edge runs across.
     place = place + 0.5 * np.abs(normal).max() * normal
     return Edge(place, normal, float(np.ptp(along)), math.sqrt(variance), math.sqrt(variance / along.var()))
@@ -105,12 +98,12 @@ def shaft_depth(planes: Sequence[np.ndarray], radius: float, rays: np.ndarray, *
 
     Args:
         planes: normals of the planes that touch it, out of it, shape [3] each.
-        radius: of the cylinder, in any unit.
+        radius: radius of the cylinder, in any unit.
         rays: (x, y, 1), shape [P, 3].
-        axis: of its axis, where that is nearest to the ray; else of its surface.
+        axis: True = depth of the axis where it is nearest to the ray; False = of the surface.
 
     Returns:
-        Shape [P], in the radius's unit; not a number where the ray passes by.
+        Shape [P], in the radius's unit; NaN where the ray passes by.
     """
     along = np.cross(planes[0], planes[1])
     along /= np.linalg.norm(along)
@@ -129,10 +122,10 @@ def shaft_depth(planes: Sequence[np.ndarray], radius: float, rays: np.ndarray, *
 
 
 class ShaftRuler:
-    """Gathers what the frames of a clip tell of the length of a scene unit.
+    """Gathers estimates of the length of a scene unit from the frames of a clip.
 
     Args:
-        diameter: of the shaft [m].
+        diameter: diameter of the shaft [m].
         clip: the clip.
     """
 
@@ -142,7 +135,7 @@ class ShaftRuler:
         self._found: list[tuple[float, float, float]] = []
 
     def watched(self, frames: Iterable[PreparedFrame]) -> Iterator[PreparedFrame]:
-        """The frames, once each has been looked at."""
+        """Yield the frames, each after it was measured."""
         for frame in frames:
             if frame.picture_labels is not None and frame.has_depth:
                 edges = shaft_edges(frame.picture_labels == TOOL)
@@ -172,12 +165,13 @@ class ShaftRuler:
         own = float(np.square(slopes * sds).sum()) + median_sd(here - middle) ** 2 / LEAST_SAMPLES
         # What touches may lie beside the axis by as much as the radius.
         beside = self._radius / math.sqrt(3) / (math.exp(middle) * depth[0]) if self._guessed else 0.0
-        shared = MASK_SD**2 * (slopes[0] ** 2 + slopes[2] ** 2) + DIAMETER_SD**2 + beside**2
-        if own + shared < LARGEST_SD**2:
+        # All frames share the errors of masks' ends [px] and of the stated diameter, as a logarithm.
+        shared = 0.25**2 * (slopes[0] ** 2 + slopes[2] ** 2) + 0.01**2 + beside**2
+        if own + shared < 0.2**2:
             self._found.append((middle, own, shared))
 
     def metres(self) -> tuple[float, float] | None:
-        """Length of a scene unit [m] and the standard deviation of its logarithm; None where no frame tells it."""
+        """Length of a scene unit [m] and the standard deviation of its logarithm; None if no frame determines it."""
         if not self._found:
             return None
         logs, own, shared = np.array(self._found).T

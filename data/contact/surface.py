@@ -1,7 +1,7 @@
-"""The tissue's smooth surface behind noisy depth, and how noisy the depth is.
+"""The tissue's smooth surface behind noisy depth, and the noise.
 
-A grid cell is a few thousandths of the scene, no more than a depth model's noise: springs between raw depths would
-have lengths and directions of noise. At rest tissue is smooth, so a plane fitted around every pixel takes it away.
+A grid cell is a few thousandths of the scene, no more than a depth model's noise. Springs between raw depths would have
+lengths and directions of noise. At rest tissue is smooth, so a plane fitted around every pixel removes it.
 """
 
 import cv2
@@ -13,8 +13,8 @@ def smooth_surface(
 ) -> tuple[np.ndarray, float]:
     """Depth of the tissue by a plane fitted around every pixel with Gaussian weights (local linear regression).
 
-    A plane cuts off what is curved: on synthetic tissue 0.2 of a depth noise of 0.001 where the tool touches, the
-    same in all frames. So the same fit to what it left is added (twicing, Tukey 1977), whose bias is of higher order.
+    A plane cuts off curved tissue, by 0.2 of a depth noise of 0.001 on synthetic tissue. So the same fit to the
+    residual is added (twicing, Tukey 1977), whose bias is of higher order.
 
     Args:
         depth: z, shape [h, w] [scene units].
@@ -23,8 +23,8 @@ def smooth_surface(
         hidden: pixels at which the tissue's surface is continued, bool [h, w]; 0 where too little tissue is near.
 
     Returns:
-        Smoothed depth [h, w] float32, elsewhere as it was, and the noise: the standard deviation of the tissue's depth
-        about the planes [scene units], not a number without tissue.
+        Smoothed depth [h, w] float32, elsewhere unchanged; and the noise, the standard deviation of the tissue's depth
+        about the planes [scene units], NaN without tissue.
     """
     if not tissue.any():
         return depth, float("nan")

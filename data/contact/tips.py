@@ -3,19 +3,15 @@
 import cv2
 import numpy as np
 
-END = 0.11
-"""Part of an instrument that may touch: so far back from the end which is farthest from where it enters, as a share of
-the picture's longer side."""
-
 
 def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> list[np.ndarray]:
     """Places (column, row) in the free end of every tool, [P, 2] each; in all of a tool that enters nowhere.
 
     Args:
         tool: mask, bool [h, w].
-        lit: where the picture shows anything, bool [h, w]: tools enter at its edge.
-        reach: how far the free end goes back from what is farthest from where a tool enters [px].
-        least: parts of the mask with fewer pixels are no tool.
+        lit: mask of the picture's lit part, bool [h, w]: tools enter at its edge.
+        reach: length of a free end, from the pixel farthest from the tool's entry [px].
+        least: smallest number of pixels of a tool.
     """
     edge = cv2.dilate((~lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     edge[[0, 1, 2, -3, -2, -1]] = edge[:, [0, 1, 2, -3, -2, -1]] = True
@@ -34,8 +30,11 @@ def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> li
 
 
 def free_ends(tool: np.ndarray, lit: np.ndarray, reach: float | None = None) -> np.ndarray:
-    """Where the free ends of instruments are, bool [h, w], by their mask and by where the picture shows anything."""
+    """Mask of the free ends of instruments, bool [h, w]; arguments as in `tool_tips`.
+
+    By default they reach back by 0.11 of the picture's longer side: the part that may touch.
+    """
     ends = np.zeros(tool.shape, bool)
-    for tip in tool_tips(tool, lit, END * max(tool.shape) if reach is None else reach, 1):
+    for tip in tool_tips(tool, lit, 0.11 * max(tool.shape) if reach is None else reach, 1):
         ends[tip[:, 1], tip[:, 0]] = True
     return ends

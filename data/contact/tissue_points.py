@@ -1,4 +1,4 @@
-"""Tissue points in space from places in a picture, and how they would move if the tissue moved rigidly."""
+"""Tissue points in space from places in a picture, and their motion if the tissue moved rigidly."""
 
 import math
 
@@ -7,9 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from palpate.data.contact.geometry import TISSUE
 from palpate.data.source.camera import Camera
-
-LIFT_REACH = 8
-"""Farthest tissue that gives a covered point its depth [grid pixels]."""
 
 
 def grid_to_picture(pixels: np.ndarray, grid_shape: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
@@ -36,7 +33,7 @@ def lift(pixels: np.ndarray, depth: np.ndarray, labels: np.ndarray, camera: Came
         camera: intrinsics of the grid.
 
     Returns:
-        Shape [P, 3] float64 [scene units]; not a number where no tissue depth is near.
+        Shape [P, 3] float64 [scene units]; NaN where no tissue depth is near.
     """
     valid = (labels == TISSUE) & (depth > 0)
     columns, rows = np.asarray(pixels, np.float64).reshape(-1, 2).T
@@ -51,8 +48,8 @@ def lift(pixels: np.ndarray, depth: np.ndarray, labels: np.ndarray, camera: Came
 def _depth_near(u: float, v: float, depth: np.ndarray, valid: np.ndarray) -> float:
     if not (math.isfinite(u) and math.isfinite(v)):
         return math.nan
-    top, left = max(round(v) - LIFT_REACH, 0), max(round(u) - LIFT_REACH, 0)
-    window = np.s_[top : max(round(v) + LIFT_REACH + 1, 0), left : max(round(u) + LIFT_REACH + 1, 0)]
+    top, left = max(round(v) - 8, 0), max(round(u) - 8, 0)  # tissue farther away gives no depth
+    window = np.s_[top : max(round(v) + 9, 0), left : max(round(u) + 9, 0)]
     rows, columns = np.nonzero(valid[window])
     if len(rows) == 0:
         return math.nan
@@ -62,15 +59,15 @@ def _depth_near(u: float, v: float, depth: np.ndarray, valid: np.ndarray) -> flo
 def rigid_motion(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Displacement that a point would have if it moved rigidly with the others.
 
-    Least-squares rotation and translation (Kabsch), fitted again without the points that fit worse than three times
-    the median, so that a deforming part does not count as camera motion.
+    Least-squares rotation and translation (Kabsch) are fitted again without the points that fit worse than three times
+    the median: a deforming part does not count as camera motion.
 
     Args:
-        before, after: the same points in two frames, shape [P, 3] [scene units]; rows that are not finite are ignored.
+        before, after: points in two frames, shape [P, 3] [scene units]; rows that are not finite are ignored.
         at: the point, shape [3] [scene units].
 
     Returns:
-        Shape [3] [scene units]; not a number with fewer than six points.
+        Shape [3] [scene units]; NaN with fewer than six points.
     """
     finite = np.isfinite(before).all(1) & np.isfinite(after).all(1)
     before, after = before[finite], after[finite]

@@ -1,4 +1,4 @@
-"""An ONNX depth network: the one preprocessing function, the session, and what its output means as depth."""
+"""An ONNX depth network: the one preprocessing function, the session, and its output as depth."""
 
 import glob
 import hashlib
@@ -23,15 +23,15 @@ class RawDepth:
     focal: float | None = None
     """Focal length that the network estimated, as a multiple of the picture's width."""
 
-    def thumbnail(self, side: int = 160) -> "RawDepth":
-        """Every n-th pixel, so that neither side exceeds `side` much; enough for robust statistics of a clip."""
-        step = max(1, max(self.values.shape) // side)
+    def thumbnail(self) -> "RawDepth":
+        """Every n-th pixel, about 160 along the longer side; enough for robust statistics of a clip."""
+        step = max(1, max(self.values.shape) // 160)
         return RawDepth(self.values[::step, ::step].copy(), self.focal)
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the picture lies in the network's input."""
+    """Place of the picture in the network's input."""
 
     height: int
     """Height of the network's input [px]."""
@@ -48,7 +48,7 @@ class Placement:
 
 
 def place(height: int, width: int, preset: DepthPreset, fixed: tuple[int, int] | None = None) -> Placement:
-    """Network input size for a picture and where the picture lies in it.
+    """Network input size for a picture, and the picture's place in it.
 
     Args:
         height: rows of the picture [px].
@@ -106,7 +106,7 @@ class DepthModel:
             path: ONNX file.
             preset: conventions of the network.
             threads: intra-op threads, 0 = onnxruntime's choice.
-            device: where it runs, one of `palpate.common.onnx_devices.DEVICES`.
+            device: one of `palpate.common.onnx_devices.DEVICES`.
 
         Raises:
             InputError: not an ONNX model, other inputs or outputs than the preset states, or no such device.

@@ -1,7 +1,7 @@
 """Depth of a clip's frames: from stored files or an ONNX model, and the one normalisation.
 
-Bini 2026, section 3.2.1, with its per-frame choices replaced by ones that are fixed for a whole clip: one scale without
-an offset, one focal length and one range of relative depth. docs/depth.md describes how they are frozen.
+The method is Bini 2026, section 3.2.1, but its per-frame choices are fixed for a whole clip: one scale without an
+offset, one focal length and one range of relative depth (docs/depth.md).
 """
 
 import math
@@ -29,9 +29,8 @@ BUILT_IN = ("stored", "stereo", "photometric")
 """Sources of depth that need no model."""
 MOST_THREADS = 1024
 """Largest number of threads of one program."""
-Size = tuple[int, int]
 ORDER = (TOOL, TISSUE, OTHER, 255)
-"""Labels by their rank where they cover equal areas of a pixel; 255 is outside the picture."""
+"""Labels by their rank if they cover equal areas of a pixel; 255 is outside the picture."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,8 @@ class DepthSettings(Checked, group="depth."):
     threads: Annotated[int, 0, MOST_THREADS] = 0
     """Threads of the depth model, and of a mask model; 0 leaves it to onnxruntime."""
     device: Literal["auto", "cpu", "openvino", "cuda"] = "cpu"
-    """Where these run (`palpate.common.onnx_devices`): cuda needs onnxruntime-gpu, openvino onnxruntime-openvino."""
+    """Device of these models (`palpate.common.onnx_devices`): cuda needs onnxruntime-gpu, openvino
+    onnxruntime-openvino."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -82,7 +82,7 @@ class DepthSettings(Checked, group="depth."):
 
 
 def open_depth(settings: DepthSettings, layout: ClipLayout, source: FrameSource) -> DepthSource:
-    """The depth source of one clip; open it anew for every clip, because it holds what is frozen for the clip.
+    """Open the depth source of one clip, which holds the clip's frozen constants.
 
     Raises:
         InputError: no stored depth, or a model or preset that can't be used.
@@ -108,7 +108,7 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
     """Freeze the clip's constants and return its scale and its focal length.
 
     Reads evenly spaced frames from the first usable one on, for at most `scale_seconds`. A frame's largest depth is
-    min(99.9 % quantile, 3 × median) of its valid depth; the clip's scale D_max is the 90 % quantile (lower sample) of
+    min(99.9 % quantile, 3 × median) of its valid depth. The clip's scale D_max is the 90 % quantile (lower sample) of
     those. `settings.scale`, else the `depth_scale` of the clip's own file for stored depth, replaces it.
 
     Returns:
@@ -126,7 +126,7 @@ def estimate_scale(source: FrameSource, depth: DepthSource, settings: DepthSetti
         depth.freeze(samples)
     maps = [depth.convert(sample) for sample in samples]
     valid = [map_[map_ > 0] for map_ in maps if map_.any()]
-    # Single outliers have no effect; what lies beyond three medians is background or a mismatch.
+    # Single outliers have no effect; depth beyond three medians is background or a mismatch.
     extents = [float(min(np.quantile(each, 0.999), 3.0 * np.median(each))) for each in valid]
     if not extents:
         reason = problems[0] if problems else "choose another source with depth.source."
@@ -189,12 +189,12 @@ def normalise(depth: np.ndarray, scale: float, bits: int = 16) -> np.ndarray:
     return np.where(valid, steps / levels, 0).astype(np.float32)
 
 
-def resize_depth(depth: np.ndarray, labels: np.ndarray, size: Size = (120, 214)) -> tuple[np.ndarray, np.ndarray]:
+def resize_depth(depth: np.ndarray, labels: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Depth and labels on the grid, never blended across a label edge or with invalid pixels.
 
-    A grid pixel takes the label with the largest area in it (tool before tissue before the rest when equal), and the
-    mean depth of that label's valid pixels (normalised convolution; area average when shrinking, bilinear when
-    enlarging). It is invalid where less than half of that label's area has valid depth, and outside the picture.
+    A grid pixel takes the label with the largest area in it, by ORDER when equal, and the mean depth of that label's
+    valid pixels. That is a normalised convolution: area average when shrinking, bilinear when enlarging. The pixel is
+    invalid if less than half of that label's area has valid depth, and outside the picture.
 
     Args:
         depth: shape [H, W] float32, 0 = invalid.
@@ -249,7 +249,7 @@ def _covered(side: int, own: int) -> tuple[np.ndarray, ...]:
     """Parts of `side` pixels along an axis that those of a grid of `own` cover, as OpenCV has it.
 
     Returns:
-        Where each one's part begins in the others, shape [own + 1]; pixels covered; share of each in the mean, float32.
+        Begin of each one's part in the others, shape [own + 1]; pixels covered; share of each in the mean, float32.
     """
     scale = 1 / (own / side)
     begin = np.arange(own)[:, None] * scale

@@ -1,8 +1,8 @@
 """Depth from brightness, without training: an endoscope's light is next to its lens, so that nearer tissue is brighter.
 
-A matt surface of albedo ρ at the distance R along its ray sends back I ∝ ρ·cosθ/R², θ being the angle between its
-normal and the ray. With R = z/cosα, where α is the ray's angle to the optical axis, and a surface parallel to the image
-plane (θ = α), z = cos^1.5(α)·sqrt(ρ/I): relative depth for one albedo and one exposure.
+A matt surface of albedo ρ at the distance R along its ray sends back I ∝ ρ·cosθ/R². θ is the angle between its normal
+and the ray, α that between ray and optical axis, and R = z/cosα. For a surface parallel to the image plane (θ = α),
+z = cos^1.5(α)·sqrt(ρ/I): relative depth for one albedo and one exposure.
 """
 
 import math
@@ -40,9 +40,8 @@ def photometric_depth(picture: np.ndarray) -> np.ndarray:
     parts = (brightness * usable).astype(np.float32), usable
     total, weight = (cv2.GaussianBlur(part, (37, 37), 6, borderType=cv2.BORDER_CONSTANT) for part in parts)
     smooth = total / np.maximum(weight, 1e-6) * usable
-    return np.where(smooth > DARKEST, _falloff(smooth.shape) / np.sqrt(np.maximum(smooth, DARKEST)), 0).astype(
-        np.float32
-    )
+    depth = _falloff(smooth.shape) / np.sqrt(np.maximum(smooth, DARKEST))
+    return np.where(smooth > DARKEST, depth, 0).astype(np.float32)
 
 
 @lru_cache(maxsize=4)

@@ -28,7 +28,7 @@ class DepthPreset(Checked):
     relative_inverse: D = 1/(a·D̂ + b), with a and b from near, far and the clip's frozen range of D̂.
     canonical_inverse: D = f_px/(w·D̂) (DepthPro; f_px at the width w)."""
     obtain: str = ""
-    """How to obtain the ONNX file, printed when it is missing."""
+    """Instruction to obtain the ONNX file, printed when it is missing."""
     output: str | tuple[str, ...] = ()
     """Accepted names of the depth output; none = the model's only output."""
     layout: Literal["NCHW", "NHWC"] = "NCHW"
@@ -36,12 +36,12 @@ class DepthPreset(Checked):
     channels: Literal["RGB", "BGR"] = "RGB"
     """Channel order of the input."""
     resize: Literal["exact", "shorter", "longer", "none"] = "exact"
-    """How the picture is brought to the network's size: to `size` exactly, so that its shorter or longer side is `size`
-    (aspect kept), or not at all. A model file with a fixed input size is given that size."""
+    """Resizing of the picture: to `size` exactly, so that its shorter or longer side is `size` (aspect kept), or none.
+    A fixed input size of the model file takes precedence."""
     size: tuple[int, int] | int | None = None
-    """[height, width] for exact, one side for shorter and longer [px]."""
+    """Size of the network's input: [height, width] for exact, one side for shorter and longer [px]."""
     multiple: Annotated[int, 1, MOST_SIDE] = 1
-    """Sides are rounded to a multiple of this [px]; with `longer` they never exceed `size`."""
+    """Number of pixels to multiples of which sides are rounded; with `longer` they never exceed `size`."""
     letterbox: bool = False
     """Keep the aspect within an exact size and fill the rest with `letterbox_value`."""
     letterbox_value: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -49,19 +49,19 @@ class DepthPreset(Checked):
     value_scale: Literal[1, 255] = 1
     """Largest input value before mean and standard deviation."""
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Subtracted from RGB [value_scale]."""
+    """Mean that is subtracted from RGB [value_scale]."""
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Divides RGB after the mean [value_scale]."""
+    """Standard deviation by which RGB is divided after the mean [value_scale]."""
     factor: Positive = 1.0
-    """Multiplies the output, e.g. 0.001 where it is in millimetres."""
+    """Factor on the output, such as 0.001 if it is in millimetres."""
     focal_output: str | tuple[str, ...] = ()
     """Accepted names of an output that estimates the focal length; none = the model gives none."""
     focal_kind: Literal["px", "fov_deg"] = "px"
-    """Whether that output is a focal length [px] or a horizontal field of view [degrees]."""
+    """Kind of that output: focal length [px] or horizontal field of view [degrees]."""
     focal_grid: Annotated[int, 1, MOST_SIDE] | None = None
     """Width of the picture that the focal length refers to [px]; none = the network's input width."""
     canonical_focal_px: Positive | None = None
-    """Depth for a camera of this focal length (Metric3D: 1000): D = D̂·f/f_canonical with f on the input [px]."""
+    """Focal length f_c of the camera for which depth is given (Metric3D: 1000): D = D̂·f/f_c, f on the input [px]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -79,7 +79,7 @@ class DepthPreset(Checked):
 
     @property
     def metric(self) -> bool:
-        """Whether depth is in metres."""
+        """True if depth is in metres."""
         return self.kind in ("metric", "canonical_inverse")
 
     @property

@@ -1,9 +1,9 @@
-"""The shape of tissue that its shading tells: that of the whole organ, without what is texture.
+"""The shape of tissue by its shading: that of the whole organ, without texture.
 
 Under a light at the camera a plane n·X = h of one albedo sends back I ∝ (n·r)³/h² along the unit ray r: the distance is
-h/(n·r), and the cosine to the light n·r. How brightness changes over a whole organ tells n to about ten degrees; what
-changes over less than that is mostly albedo (vessels, fat, bruises), and turns normals by 50 degrees when it is read as
-distance (docs/depth.md).
+h/(n·r), and the cosine to the light n·r. The gradient of brightness over a whole organ determines n to about ten
+degrees. Changes over shorter distances are mostly albedo (vessels, fat, bruises): read as distance, they turn normals
+by 50 degrees (docs/depth.md).
 """
 
 import cv2
@@ -16,26 +16,24 @@ GRAZING = 0.05
 """Least cosine between the plane's normal and a ray."""
 
 
-def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera, fewest: int = 200) -> np.ndarray:
-    """Depth from shading without what can't be shape: a tilted plane, curved by what is left over the whole organ.
+def organ_shape(depth: np.ndarray, tissue: np.ndarray, camera: Camera) -> np.ndarray:
+    """Depth from shading as a tilted plane, curved by the smooth residual over the whole organ.
 
     Args:
-        depth: of the photometric model, I^-½·cos^1.5 of the ray's angle, shape [h, w], 0 = invalid.
-        tissue: where tissue is, shape [h, w] bool.
+        depth: depth of the photometric model, I^-½·cos^1.5 of the ray's angle, shape [h, w], 0 = invalid.
+        tissue: mask of tissue, shape [h, w] bool.
         camera: intrinsics of the grid.
-        fewest: with fewer pixels of tissue those at its border count as well, or else nothing is done.
 
     Returns:
-        Depth of the same shape and kind, smooth wherever it is valid; tissue has the median that it had. Instruments
-        lie on that surface, too: how bright metal is says nothing of where it is. With too little tissue all is as it
-        was.
+        Depth of the same shape and kind, smooth wherever it is valid; tissue keeps its median. Instruments lie on that
+        surface, too, as the brightness of metal doesn't determine its place. With too little tissue depth is unchanged.
     """
     lit = depth > 0
     valid = tissue & lit
     # Six pixels are left out at the border of tissue, where shadows and other colours lie.
     kept = cv2.erode(valid.astype(np.uint8), np.ones((13, 13), np.uint8), borderValue=1) > 0
-    kept = valid if kept.sum() < fewest else kept
-    if kept.sum() < fewest:
+    kept = valid if kept.sum() < 200 else kept
+    if kept.sum() < 200:
         return depth
     rays = back_project(np.ones_like(depth), camera)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -67,7 +65,7 @@ def _plane_normal(rays: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         left = brightness - 3 * np.log(facing) + 1.5 * np.log(squared)
         left -= np.median(left)
         spread = median_sd(left) + 1e-6
-        # Texture goes together over wide areas: a picture holds 50 independent observations of what is no plane.
+        # Texture is correlated over wide areas: a picture holds 50 independent observations of deviations from a plane.
         # Standard deviation of a plane's tangents before anything is known of it.
         prior = spread**2 / (50 * 0.35**2)
         # Scale of Cauchy's weights, in standard deviations of what the plane leaves.

@@ -17,7 +17,7 @@ from palpate.data.source.layout import ClipLayout, InputError, companion, matche
 LARGEST_MAP_RATIO = 16
 """Largest ratio of a stored map's pixels to its picture's; larger maps are not even unpacked."""
 NEAREST, FARTHEST = 1e-3, 5.0
-"""Tissue that would be nearer or farther away was measured in another unit than metres [m]."""
+"""Smallest and largest distance of tissue; others were measured in another unit than metres [m]."""
 
 
 class DepthSource(ABC):
@@ -26,17 +26,17 @@ class DepthSource(ABC):
     identity: str
     """Digest of everything except the clip's own files and settings that the depth depends on, for cache keys."""
     metres: tuple[float, float, str] | None = None
-    """Length of its unit [m], the standard deviation of the logarithm, and by what it is known; None where it isn't."""
+    """Length of the unit [m], the standard deviation of its logarithm, and their source; None if unknown."""
     warnings: Sequence[str] = ()
-    """What the user should know of the clip's depth, a sentence each."""
+    """Warnings about the clip's depth, a sentence each."""
     known_scale: float | None = None
     """Depth that the clip's own file declares as z = 1; None where it declares none."""
     from_picture: bool = False
-    """Whether it is guessed from the picture alone, so that it may change where only the light or the view does."""
+    """True if depth is guessed from the picture alone, so that it may change with the light or the view."""
     from_shading: bool = False
-    """Whether it is brightness read as distance, so that `shading.organ_shape` tells what of it is shape."""
+    """True if depth is brightness read as distance, whose shape `shading.organ_shape` extracts."""
     depends_on_clip: bool = False
-    """Whether `freeze` has constants to fix."""
+    """True if `freeze` has constants to fix."""
     focal: float | None = None
     """Focal length that the model estimated, fixed for the clip, as a multiple of the picture's width."""
 
@@ -103,7 +103,7 @@ class StoredDepth(DepthSource):
 
 
 class ModelDepth(DepthSource):
-    """Depth by an ONNX model; its preset states what the output means."""
+    """Depth by an ONNX model; its preset states the meaning of the output."""
 
     from_picture = True
 
@@ -181,7 +181,7 @@ def check_map(values: np.ndarray, named: str, *, signed: bool) -> None:
     Args:
         values: shape [H, W].
         named: subject of the message.
-        signed: whether 0 and negative values are valid.
+        signed: True = 0 and negative values are valid.
 
     Raises:
         InputError: nothing finite, zero or constant everywhere, or under 1 % valid.

@@ -1,4 +1,4 @@
-"""Depth from a stereo pair, in metres: what rectifies it, and its disparity by semi-global matching.
+"""Depth from a stereo pair, in metres: its rectification, and its disparity by semi-global matching.
 
 Semi-global matching (Hirschmüller 2008, "Stereo processing by semiglobal matching and mutual information"; OpenCV's, in
 three directions) finds disparities at a working size, and one step of Lucas and Kanade along the rows refines them.
@@ -52,7 +52,7 @@ class Rectification:
         return [lens.image(each) for each, lens in zip((left, right), self._lenses, strict=False)] or (left, right)
 
     def depth(self, disparity: np.ndarray) -> np.ndarray:
-        """Depth in the left picture as it was, [H, W] [m], of disparity on common rows [px]; 0 = none in both."""
+        """Depth in the unrectified left picture, [H, W] [m], from disparity on common rows [px]; 0 = none in both."""
         found = np.divide(self.product, disparity, out=np.zeros_like(disparity), where=disparity > 0)
         if not self._lenses:
             return found
@@ -109,14 +109,13 @@ def _refined(left: np.ndarray, right: np.ndarray, disparity: np.ndarray) -> np.n
 
 
 def row_offsets(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """By how much features lie lower in the left picture than in the right one, by where they are in the left one.
+    """Offset of features down from the right to the left picture, as a linear function of their place in the left one.
 
     Args:
         left, right: pictures, shape [H, W, 3].
 
     Returns:
-        a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; none of them is a number where
-        too few agree.
+        a, b, c of a + b·x + c·y with x and y from the picture's centre [px], shape [3]; NaN if too few agree.
     """
     finder, height, width = cv2.SIFT.create(1500, contrastThreshold=0.01), *left.shape[:2]
     found = [finder.detectAndCompute(cv2.cvtColor(each, cv2.COLOR_RGB2GRAY), None) for each in (left, right)]
@@ -142,17 +141,17 @@ class StereoDepth(DepthSource):
     depends_on_clip = True
     not_compared = "left and right pictures share too few features to compare rows; look whether they are a pair"
     disparity_sd = 0.25
-    """Standard deviation of what all disparities are off by together, in pairs as well calibrated as pairs are [px];
-    where rows are found apart, a camera that is turned that far may be turned as far across them."""
+    """Standard deviation of the error that all disparities share [px], inflated by the offset of the rows: a camera
+    that is turned that far may be turned as far across them."""
 
     def __init__(self, layout: ClipLayout, source: FrameSource) -> None:
         """
         Args:
-            layout: says where the right pictures are.
+            layout: states the place of the right pictures.
             source: the left ones.
 
         Raises:
-            InputError: nothing says where the right pictures are, or how far apart the cameras.
+            InputError: the place of the right pictures, or the baseline, isn't stated.
         """
         clip, rig, named = source.path, clip_camera(source.path, layout), printable(source.path)
         if layout.right is None:
@@ -209,7 +208,7 @@ class StereoDepth(DepthSource):
         return picture
 
     def _onto_rows(self, frame: Frame) -> np.ndarray | None:
-        """What moves right pictures so that their rows lie where the left ones' do, [2, 3]; None = they do.
+        """Affine motion that brings the right pictures' rows to the left ones', [2, 3]; None = they coincide.
 
         Raises:
             InputError: they lie too far off, or features match the other way round alone.
@@ -236,7 +235,7 @@ class StereoDepth(DepthSource):
         return moved if most > 0.3 else None
 
     def freeze(self, samples: Sequence[RawDepth]) -> None:
-        """Fix the range of disparities that are sought, and the uncertainty of the depth's scale."""
+        """Fix the search range of disparities, and the uncertainty of the depth's scale."""
         found = np.concatenate([self._rectification.product / raw.values[raw.values > 0] for raw in samples])
         low, high = np.quantile(found, (0.01, 0.99)) * (0.7, 1.3)
         self._match = SemiGlobal(self._size, (float(low), float(high)))

@@ -1,4 +1,4 @@
-"""Where tool and tissue are in a frame: label maps from annotation, a network, outlines, or none of these.
+"""Label maps of a frame, tool and tissue: from annotation, a network, outlines, or none of these.
 
 sources      the common interface MaskSource, annotation masks, and the choice between the kinds
 onnx         any segmentation network as an ONNX file
@@ -7,6 +7,6 @@ cut          an instrument cut out by strokes
 outlining    a session in which a person outlines instruments
 rigid        an instrument followed from an outline on
 automatic    raw video: instruments by the network that ships, other lit pixels as tissue
-lit          what of a picture is lit: the endoscope's view
+lit          the lit part of a picture: the endoscope's view
 class_table  CholecSeg8k's classes and colours
 """

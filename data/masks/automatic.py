@@ -1,8 +1,7 @@
 """Tool and tissue masks of raw video: instruments by the network that ships, other lit pixels as tissue.
 
-The network's probability is averaged over time: that of the frame before is moved along the optical flow. Of its parts
-those count that are large, enter the view, and were there in the frame before, too. docs/masks.md
-reports its accuracy on real pictures.
+The network's probability is averaged over time: that of the frame before is moved along the optical flow. Parts count
+if they are large, enter the view, and were there in the frame before. docs/masks.md reports the accuracy.
 """
 
 from pathlib import Path
@@ -20,9 +19,7 @@ from palpate.data.source.frames import Frame
 from palpate.data.tracks.flow import FlowCarrier
 
 WEIGHTS = ROOT / MASKS
-"""The network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
-NEW_SHARE = 0.7
-"""Weight of a frame's own probability; the rest is that of the frame before."""
+"""File of the network that ships: a picture [1, 3, H, W] in [0, 1] to logits [1, 1, H/2, W/2] of an instrument."""
 
 
 class AutomaticMasks:
@@ -30,8 +27,8 @@ class AutomaticMasks:
 
     Args:
         path: the network; by default the one that ships.
-        every: the network runs in one of so many frames; in between its probability is moved along the flow.
-        threads, device: as in `PictureNetwork`.
+        every: number of frames of which the network runs in one; in between its probability moves along the flow.
+        threads, device: CPU threads and device, as in `PictureNetwork`.
     """
 
     def __init__(self, path: Path = WEIGHTS, *, every: int = 1, threads: int = 0, device: str = "cpu") -> None:
@@ -87,7 +84,7 @@ class AutomaticMasks:
         now = before
         if now is None or self._since % self._every == 0:
             own = self._seen(small)
-            now = own if before is None else NEW_SHARE * own + (1 - NEW_SHARE) * before
+            now = own if before is None else 0.7 * own + (1 - 0.7) * before
         self._since += 1
         self._gray, self._probability = gray, now
         return now, now if before is None else before
@@ -100,7 +97,7 @@ def instrument_parts(probability: np.ndarray, view: np.ndarray, before: np.ndarr
     the view.
 
     Args:
-        probability: of an instrument, [h, w].
+        probability: probability of an instrument, [h, w].
         view: the endoscope's view, bool [h, w], convex.
         before: the probability in the frame before, moved to this one's.
     """

@@ -1,4 +1,4 @@
-"""CholecSeg8k's classes, from `class_table.yaml`: how each is drawn in watershed masks and in colour masks."""
+"""CholecSeg8k's classes, from `class_table.yaml`: codes of watershed masks and of colour masks."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ from palpate.common.files import read_beside
 
 
 class ClassEntry(NamedTuple):
-    """How one class is drawn."""
+    """Codes of one class."""
 
     grey: int
     """Value in `*_endo_watershed_mask.png`."""
@@ -15,4 +15,4 @@ class ClassEntry(NamedTuple):
 
 
 CLASSES = {name: ClassEntry(entry["grey"], tuple(entry["color"])) for name, entry in read_beside(__file__).items()}
-"""By the classes' names."""
+"""Codes of the classes by their names."""

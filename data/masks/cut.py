@@ -1,4 +1,4 @@
-"""An instrument cut out by strokes: what the network takes for it, refined by GrabCut (Rother 2004)."""
+"""An instrument cut out by strokes: the network's probability refined by GrabCut (Rother 2004)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,15 +8,6 @@ import numpy as np
 
 from palpate.data.masks.automatic import AutomaticMasks
 
-WORKING_SIZE = 480
-"""Longer side of the picture that is cut [px]."""
-PEN, AROUND, REACH = 5, 9, 40
-"""Width of a stroke, of what begins as instrument around it, and how far the cut moves an outline [px of that]."""
-ALIKE = 0.5
-"""Probability from which a stroke takes a whole part that the network sees."""
-TOLERANCE = 0.75
-"""Largest distance between a polygon and the outline that it stands for [px of the working size]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Stroke:
@@ -25,7 +16,7 @@ class Stroke:
     points: np.ndarray
     """Column and row, shape [N, 2] [px]; a single one is a click."""
     instrument: bool = True
-    """Whether the instrument is there."""
+    """True if the stroke is on the instrument, False if it is beside it."""
 
 
 class InstrumentCut:
@@ -44,7 +35,7 @@ class InstrumentCut:
             strokes: at least one over the instrument; later ones count more.
             begin: polygons that are taken for the instrument where no stroke says otherwise.
         """
-        share = WORKING_SIZE / max(picture.shape[:2])
+        share, pen = 480 / max(picture.shape[:2]), 5  # longer side of the picture that is cut; width of a stroke [px]
         size = max(round(picture.shape[1] * share), 16), max(round(picture.shape[0] * share), 16)
         probability = cv2.resize(self._masks.probability(picture), size, interpolation=cv2.INTER_LINEAR)
         ends = ((np.vstack([each.points, each.points[-1:]]), each.instrument) for each in strokes)  # a click is a dot
@@ -53,13 +44,13 @@ class InstrumentCut:
         for polygon in begin:
             cv2.fillPoly(guess, [np.rint(polygon * share).astype(np.int32)], 1)
         for line, instrument in lines:
-            cv2.polylines(on, [line], False, int(instrument), PEN)
-            cv2.polylines(guess, [line], False, int(instrument), AROUND)
-        guess |= _touched((probability > ALIKE).astype(np.uint8), on)
-        far = cv2.distanceTransform(1 - guess, cv2.DIST_L2, 3) > REACH
+            cv2.polylines(on, [line], False, int(instrument), pen)
+            cv2.polylines(guess, [line], False, int(instrument), 9)  # begins as instrument
+        guess |= _touched((probability > 0.5).astype(np.uint8), on)
+        far = cv2.distanceTransform(1 - guess, cv2.DIST_L2, 3) > 40  # the cut moves an outline no farther
         labels = np.where(far, cv2.GC_BGD, np.where(guess > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD)).astype(np.uint8)
         for line, instrument in lines:
-            cv2.polylines(labels, [line], False, cv2.GC_FGD if instrument else cv2.GC_BGD, PEN)
+            cv2.polylines(labels, [line], False, cv2.GC_FGD if instrument else cv2.GC_BGD, pen)
         if not on.any():
             return []
         if (labels == cv2.GC_BGD).any():  # GrabCut learns colours from both
@@ -70,7 +61,7 @@ class InstrumentCut:
             cv2.grabCut(features, labels, (0, 0, 1, 1), models[0], models[1], 1, cv2.GC_INIT_WITH_MASK)
         cut = cv2.morphologyEx(labels & 1, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) | on
         found, _ = cv2.findContours(_touched(cut, on), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        return [polygon / share for each in found if len(polygon := cv2.approxPolyDP(each, TOLERANCE, True)[:, 0]) > 2]
+        return [polygon / share for each in found if len(polygon := cv2.approxPolyDP(each, 0.75, True)[:, 0]) > 2]
 
 
 def _touched(mask: np.ndarray, on: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What of a picture is lit: the endoscope's view, without its dark surround."""
+"""The lit part of a picture: the endoscope's view, without its dark surround."""
 
 import cv2
 import numpy as np

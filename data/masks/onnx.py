@@ -1,7 +1,7 @@
 """Masks from any ONNX segmentation model, read by settings stored next to it; only onnxruntime is needed.
 
-They stand in a YAML file of the model's name (`model.onnx` → `model.yaml`) and name the channels that are tool and
-tissue; docs/inputs.md has an example.
+The settings are a YAML file of the model's name (`model.onnx` → `model.yaml`), which names the channels that are tool
+and tissue. docs/inputs.md has an example.
 """
 
 from dataclasses import dataclass

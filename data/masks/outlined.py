@@ -1,9 +1,9 @@
-"""Tool masks from outlines that a person has drawn in one frame, or in some; instruments are followed from there.
+"""Tool masks from outlines that a person has drawn in one or several frames; instruments are tracked from there.
 
 The file is YAML or JSON: polygons of instruments by the number of the frame in which they were drawn, in pixels of the
 picture (to the right, down). Until the next such frame every instrument moves as a rigid body seen from a little nearer
-or farther: points of it are followed by pyramidal Lucas and Kanade, and a similarity is fitted to them. A shaft that
-enters from the picture's edge is straight and goes on beyond it, so that more of it shows as it comes in.
+or farther, by a similarity fitted to its tracks (pyramidal Lucas and Kanade). A shaft that enters from the picture's
+edge is straight and goes on beyond it, so that more of it shows as it comes in.
 """
 
 from collections.abc import Mapping
@@ -15,15 +15,10 @@ import numpy as np
 from palpate.common.files import file_sha256
 from palpate.data.labels import TISSUE, TOOL, MaskError
 from palpate.data.masks.lit import lit_picture, picture_field
-from palpate.data.masks.rigid import WORKING_SIZE, RigidInstrument, filled
+from palpate.data.masks.rigid import RigidInstrument, filled
 from palpate.data.source.camera import MOST_SIDE
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import InputError, read_mapping
-
-VERSION = 1
-"""Version of the method, part of the masks' identity; it must rise when the result changes."""
-MOST_OUTLINES = 50
-"""Most instruments of a frame."""
 
 
 class OutlinedMasks:
@@ -38,7 +33,7 @@ class OutlinedMasks:
 
     def __init__(self, path: Path) -> None:
         self._outlines = read_outlines(path)
-        self.identity = f"outlines:{VERSION}:{file_sha256(path)}"
+        self.identity = f"outlines:1:{file_sha256(path)}"  # version of the method, which rises when the result changes
         self._name = path.name
         self.reset()
 
@@ -46,9 +41,9 @@ class OutlinedMasks:
         """Forget the frames of the clip so far."""
         self._instruments: list[RigidInstrument] = []
         self._share = 1.0
-        """Size in which instruments are followed over the picture's."""
+        """Size in which instruments are tracked over the picture's."""
         self._drawn = -1
-        """Number of the frame whose outlines are followed."""
+        """Number of the frame whose outlines are tracked."""
 
     @property
     def outlines(self) -> list[np.ndarray]:
@@ -62,7 +57,8 @@ class OutlinedMasks:
             MaskError: no outline comes before the frame, or an instrument couldn't be followed into it.
         """
         picture = frame.picture
-        share = self._share = WORKING_SIZE / max(picture.shape[:2])
+        # Longer side in which instruments are tracked, so that lengths mean the same in all clips [px].
+        share = self._share = 640 / max(picture.shape[:2])
         size = max(round(picture.shape[1] * share), 16), max(round(picture.shape[0] * share), 16)
         gray = cv2.cvtColor(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
         lit = lit_picture(picture)
@@ -109,8 +105,8 @@ def read_outlines(path: Path) -> Mapping[int, list[np.ndarray]]:
                 raise InputError(f"{path} has an outline in frame {number} {few}; {wanted}.")
             if not (np.abs(polygon) <= MOST_SIDE).all():
                 raise InputError(f"{path} has a corner in frame {number} that lies in no picture; {wanted}.")
-        if len(corners) > MOST_OUTLINES:
-            raise InputError(f"{path} has {len(corners)} outlines in frame {number}; give {MOST_OUTLINES} at most.")
+        if len(corners) > 50:
+            raise InputError(f"{path} has {len(corners)} outlines in frame {number}; give 50 at most.")
         outlines[number] = corners
     if not outlines:
         raise InputError(f"{path} holds no frame; {wanted}.")

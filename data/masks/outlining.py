@@ -1,4 +1,4 @@
-"""A session in which a person outlines instruments: a clip's frames, cuts by strokes, and what follows from them."""
+"""A session in which a person outlines instruments: a clip's frames, cuts by strokes, and tracked outlines."""
 
 import itertools
 import os
@@ -22,12 +22,10 @@ from palpate.data.source.layout import ClipLayout, InputError
 
 Polygons = list[list[list[float]]]
 """Corners (column, row) [px] of instruments."""
-QUALITY = 95
-"""JPEG quality of the frames that are shown and followed."""
 
 
 class OutlineSession:
-    """Reads a clip in the background; what it returns is made of what JSON knows.
+    """Reads a clip in the background; its results are JSON values.
 
     Args:
         clip: a video file or a folder of frames.
@@ -44,16 +42,16 @@ class OutlineSession:
         self._outlines = dict(read_outlines(output)) if output.exists() else {}
         self._cut, self._busy, self._followed = InstrumentCut(), threading.Lock(), 0
         self._frames: list[Frame] = []
-        """Read so far, without their pictures, which lie in `_folder`."""
+        """Frames read so far, without their pictures, which lie in `_folder`."""
         self._problem, self._closed = "", False
         self._found: dict[str, Any] = {"shown": {}, "lost": {}}
-        """What following has found last."""
+        """Last result of tracking: outlines, or errors, by frame number."""
         self._folder = TemporaryDirectory(prefix="palpate-outline-")
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def close(self) -> None:
-        """Remove the frames; what was saved stays."""
+        """Remove the frames; saved outlines stay."""
         self._closed = True
         self._reader.join()
         self._folder.cleanup()
@@ -65,8 +63,8 @@ class OutlineSession:
                     return
                 if frame.image is not None:
                     bgr = cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)
-                    file = self.picture(len(self._frames))
-                    file.write_bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
+                    coded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+                    self.picture(len(self._frames)).write_bytes(coded.tobytes())
                 self._frames.append(Frame(frame.index, frame.number, frame.time_s, None, error=frame.error))
         except (ValueError, OSError) as error:
             self._problem = str(error)
@@ -76,7 +74,7 @@ class OutlineSession:
         return Path(self._folder.name, f"{place}.jpg")
 
     def state(self) -> dict[str, Any]:
-        """What the page shows: the clip's frames so far, what is outlined, and how far following has come."""
+        """Content of the page: the clip's frames so far, the outlines, and the progress of tracking."""
         return {
             "name": self._source.name,
             "size": self._source.size,
@@ -97,7 +95,7 @@ class OutlineSession:
         return [np.round(polygon, 1).tolist() for polygon in found]
 
     def follow(self, outlines: Mapping[str, Polygons]) -> dict[str, Any]:
-        """Save outlines by frame number, follow the instruments through the clip; polygons, or why not, by frame."""
+        """Save outlines by frame number and track the instruments; return polygons, or errors, by frame."""
         with self._busy:
             with replacing(self.output) as partial:
                 partial.write_text(as_json({int(number): outlines[number] for number in sorted(outlines, key=int)}))
@@ -117,7 +115,7 @@ class OutlineSession:
 
 
 def _visible(outline: np.ndarray, size: tuple[int, int]) -> Polygons:
-    """What of an outline [K, 2] (column, row) [px] lies in a picture of that height and width."""
+    """Part of an outline [K, 2] (column, row) [px] that lies in a picture of that height and width."""
     mask = filled(np.zeros(size, np.uint8), outline, 1)
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     return [polygon.tolist() for each in found if len(polygon := cv2.approxPolyDP(each, 1.0, True)[:, 0]) > 2]

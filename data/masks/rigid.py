@@ -1,7 +1,7 @@
-"""An instrument that is followed as a rigid body seen from a little nearer or farther, from an outline on.
+"""An instrument that is tracked as a rigid body seen from a little nearer or farther, from an outline on.
 
-Points in and at the outline are followed by pyramidal Lucas and Kanade from the picture in which it was drawn, and a
-similarity is fitted to them; where that fails, from the last picture in which it was found.
+A similarity is fitted to tracks of points in and at the outline (pyramidal Lucas and Kanade) from the picture in which
+it was drawn or, if that fails, from the last picture in which it was found.
 """
 
 from functools import cached_property
@@ -11,16 +11,12 @@ import numpy as np
 
 from palpate.data.tracks.linking import followed
 
-WORKING_SIZE = 640
-"""Longer side that pictures are brought to, so that lengths mean the same everywhere [px]."""
-MOST_POINTS, SPACING, TEXTURE = 200, 4, 0.005
-"""Followed points of an instrument, their least distance [px] and their least contrast, as a share of the best."""
-FEWEST, LEAST_SHARE = 6, 0.4
-"""Fewer points, or a smaller share of those that were found again, that agree on a motion tell none."""
+FEWEST = 6
+"""Smallest number of points that determine an instrument's motion."""
 
 
 class RigidInstrument:
-    """One instrument, followed from the picture in which it is outlined.
+    """One instrument, tracked from the picture in which it is outlined.
 
     Args:
         outline: corners (column, row), shape [K, 2] [px], also beyond the picture's edge.
@@ -29,23 +25,23 @@ class RigidInstrument:
 
     def __init__(self, outline: np.ndarray, gray: np.ndarray) -> None:
         self.outline, self._last = outline, gray
-        """Where it is now, none once it has left the picture; and the picture in which it was seen there."""
+        """Current outline, empty once the instrument has left the picture; and the picture in which it was seen."""
         self._reference, self._drawn, self._motion = gray, outline, np.eye(2, 3)
         self._largest = self._visible().sum()
-        """How much of it has shown at most [px²]."""
+        """Largest visible area so far [px²]."""
 
     @cached_property
     def _points(self) -> np.ndarray:
-        """Points of the reference that are followed, shape [N, 2] [px]."""
+        """Points of the reference that are tracked, shape [N, 2] [px]."""
         near = cv2.dilate(self._visible(), np.ones((5, 5), np.uint8))  # its edges are often all that shows
-        found = cv2.goodFeaturesToTrack(self._reference, MOST_POINTS, TEXTURE, SPACING, mask=near)
+        found = cv2.goodFeaturesToTrack(self._reference, 200, qualityLevel=0.005, minDistance=4, mask=near)
         return np.empty((0, 2), np.float32) if found is None else found[:, 0]
 
     def _visible(self) -> np.ndarray:
         return filled(np.zeros(self._last.shape, np.uint8), self.outline, 1)
 
     def follow(self, gray: np.ndarray) -> bool:
-        """Whether it is found in the next picture, or has left it."""
+        """Track the instrument into the next picture; return whether it is found, or has left the picture."""
         if not len(self.outline):
             return True
         motion = self._moved(gray)
@@ -65,7 +61,7 @@ class RigidInstrument:
         return motion is not None or not len(self.outline)
 
     def _moved(self, gray: np.ndarray) -> np.ndarray | None:
-        """Its motion since the reference, shape [2, 3]; None where too few points agree."""
+        """Motion since the reference, shape [2, 3]; None if too few points agree."""
         if len(self._points) < FEWEST:
             return None
         expected = cv2.transform(self._points[:, None], self._motion)[:, 0]
@@ -77,7 +73,7 @@ class RigidInstrument:
         found, agree = cv2.estimateAffinePartial2D(
             self._points[known], there[known], method=cv2.RANSAC, ransacReprojThreshold=1.5
         )
-        if found is None or agree.sum() < max(FEWEST, LEAST_SHARE * known.sum()):
+        if found is None or agree.sum() < max(FEWEST, 0.4 * known.sum()):
             return None
         return found
 

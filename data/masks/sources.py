@@ -1,7 +1,7 @@
 """Tool and tissue masks of a frame: annotation, an ONNX model, outlines, or the automatic mode for raw video.
 
-Label maps are uint8 [H, W]: 0 other, 1 tissue, 2 tool (Bini 2026, section 3.1: only the binary tool/tissue partition
-of the annotation is used).
+Label maps are uint8 [H, W]: 0 other, 1 tissue, 2 tool. Only the annotation's binary tool/tissue partition is used (Bini
+2026, section 3.1).
 """
 
 from dataclasses import dataclass
@@ -20,8 +20,6 @@ from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import ClipLayout, InputError, companion, matches
 
-AUTO = "auto"
-"""Annotation where the clip has masks, else automatic."""
 FILES = {".onnx": "onnx", ".yaml": "outlines", ".yml": "outlines", ".json": "outlines"}
 """Sources of masks from a file, by its ending: segmentation models, and outlines."""
 SOURCES = Registry(
@@ -39,7 +37,7 @@ SOURCES = Registry(
 
 @dataclass(frozen=True)
 class MaskClasses(Checked, group="classes."):
-    """Which annotated classes count as tool and as tissue (Bini 2026, section 3.1: grasper and gallbladder)."""
+    """Annotated classes that count as tool and as tissue (Bini 2026, section 3.1: grasper and gallbladder)."""
 
     tool: tuple[str, ...] = ("grasper",)
     """Names of class_table.CLASSES that are tool."""
@@ -81,20 +79,20 @@ class MaskSource(Protocol):
 
 @dataclass(frozen=True)
 class MaskRequest:
-    """What is known where the mask source of a clip is opened."""
+    """Request to open the mask source of a clip."""
 
     clip: Path
     """The clip's folder or video file."""
     layout: ClipLayout
-    """How the clip's files are named."""
+    """Names of the clip's files."""
     classes: MaskClasses
-    """Which annotated classes are tool and tissue."""
+    """Annotated classes that are tool and tissue."""
     file: Path = Path()
-    """The file that was chosen as the source, where it is one."""
+    """File that was chosen as the source, if any."""
     threads: int = 0
     """CPU threads of a network, as in `data.picture_network.PictureNetwork`."""
     device: str = "cpu"
-    """Where a network runs, likewise."""
+    """Device of a network, as in `data.picture_network.PictureNetwork`."""
     every: int = 1
     """Number of frames for which one is masked, as in `data.settings.PrepareSettings`."""
 
@@ -103,8 +101,8 @@ def open_masks(kind: str, layout: ClipLayout, classes: MaskClasses, clip: Path, 
     """Open the mask source of one clip.
 
     Args:
-        kind: auto, a name of SOURCES, or the path of an ONNX segmentation model (see data.masks.onnx for its settings)
-            or of outlines (see data.masks.outlined).
+        kind: auto, a name of SOURCES, or the path of an ONNX segmentation model (`data.masks.onnx`) or of outlines
+            (`data.masks.outlined`).
         layout, classes, clip, where: fields of `MaskRequest`.
 
     Raises:
@@ -148,7 +146,7 @@ def check_masks(kind: str, **where: Any) -> None:
 
 def mask_names() -> list[str]:
     """Return the kinds of masks that need no file."""
-    return [AUTO, *(name for name in SOURCES.entries if name not in FILES.values())]
+    return ["auto", *(name for name in SOURCES.entries if name not in FILES.values())]
 
 
 def mask_source_file(kind: str) -> Path | None:
@@ -168,8 +166,8 @@ def mask_source_file(kind: str) -> Path | None:
 
 
 def chosen_kind(kind: str, clip: Path, layout: ClipLayout) -> str:
-    """The kind of masks that `open_masks(kind, …)` uses for a clip, "auto" being resolved."""
-    if kind != AUTO:
+    """Kind of masks that `open_masks(kind, …)` uses for a clip: auto is annotation if there is any, else automatic."""
+    if kind != "auto":
         return kind
     return "annotation" if clip.is_dir() and has_masks(clip, layout) else "automatic"
 
@@ -217,7 +215,7 @@ def mask_file(layout: ClipLayout, frame: Frame) -> tuple[Path, str]:
 
 
 def has_masks(clip: Path, layout: ClipLayout) -> bool:
-    """Whether a clip's folder holds at least one annotation mask."""
+    """Return whether a clip's folder holds at least one annotation mask."""
     return any(matches(clip, pattern) for pattern in layout.mask_patterns)
 
 
@@ -270,7 +268,7 @@ def read_class_mask(path: Path, size: tuple[int, int], classes: MaskClasses) -> 
 
 
 def _drawn_as(name: str, mask: np.ndarray, tolerance: int) -> np.ndarray:
-    """Where a mask shows a class, bool [H, W]."""
+    """Pixels of a mask that show a class, bool [H, W]."""
     if mask.ndim == 2:
         return mask == CLASSES[name].grey
     apart = cv2.absdiff(mask, np.array([*CLASSES[name].color, 0.0]))

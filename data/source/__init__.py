@@ -1,4 +1,4 @@
-"""Frames with time stamps, where they come from, and the camera that took them.
+"""Frames with time stamps, their sources, and the camera that took them.
 
 frames  video files, folders of images and bags as FrameSource; discovery: the search for them
 decoding  the track of a video file, its time stamps and pictures; interlace: whether it is interlaced, deinterlacing

@@ -15,12 +15,13 @@ from palpate.data.source.layout import InputError
 from palpate.data.source.table import reason
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-CAMERAS, WRENCHES = ("sensor_msgs/msg/CameraInfo",), ("geometry_msgs/msg/WrenchStamped",)
-"""Types of messages."""
+"""Types of messages that hold a picture."""
+WRENCHES = ("geometry_msgs/msg/WrenchStamped",)
+"""Types of messages that hold a force."""
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag: a file by its ending, or a folder that ROS 2 has recorded."""
+    """Return whether a path is a bag: a file by its ending, or a folder that ROS 2 has recorded."""
     endings = {".bag", ".mcap", ".db3"}
     if isfile(path):
         return path.suffix in endings
@@ -29,7 +30,7 @@ def is_bag(path: Path) -> bool:
 
 @contextmanager
 def _opened(path: Path) -> Generator[Any]:
-    """A bag, open as `rosbags.highlevel.AnyReader`; whatever the library raises on its content becomes one sentence."""
+    """A bag, open as `rosbags.highlevel.AnyReader`; errors of the library become one sentence."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -47,7 +48,7 @@ def topic_of(path: Path, topic: str | None, kinds: Sequence[str] = IMAGES, setti
     """A topic of a bag that holds messages of some types: the one that is named, else the only one.
 
     Args:
-        setting: that names it, for the error message.
+        setting: name of the layout's setting, for the error message.
 
     Raises:
         InputError: the bag can't be read, or holds no such topic, or several and none is named.
@@ -62,7 +63,7 @@ def topic_of(path: Path, topic: str | None, kinds: Sequence[str] = IMAGES, setti
 
 
 def read_topic(path: Path, topic: str, kinds: Sequence[str] = IMAGES) -> Iterator[tuple[int, Any]]:
-    """When the messages of a topic were recorded [ns], in order, and what they hold; None where one is damaged.
+    """Yield the recording time [ns] and content of a topic's messages, in order; None in place of a damaged one.
 
     Raises:
         InputError: the bag can't be read.
@@ -72,7 +73,7 @@ def read_topic(path: Path, topic: str, kinds: Sequence[str] = IMAGES) -> Iterato
         for connection, recorded, content in reader.messages(chosen) if chosen else ():
             try:
                 message = reader.deserialize(content, connection.msgtype)
-            except Exception:  # whatever parsing of damaged bytes ends with
+            except Exception:  # parsing of damaged bytes may raise anything
                 message = None
             yield recorded, message
 
@@ -81,7 +82,7 @@ def time_stamps(messages: Iterable[tuple[int, Any]], named: str) -> np.ndarray:
     """Time stamps of messages, int64, shape [N] [ns]: their headers', on whose clock are those without one.
 
     Args:
-        messages: as in `read_topic`.
+        messages: messages of a topic, as `read_topic` yields them.
         named: begins the error message.
 
     Raises:
@@ -132,14 +133,14 @@ def _picture(message: Any, named: str) -> np.ndarray:
 
 
 def _decompressed(content: bytes, label: str, named: str) -> np.ndarray:
-    """Picture of a CompressedImage, whatever its format is called."""
+    """Picture of a CompressedImage of any format name."""
     try:
         return decode_image(content, named)
     except InputError as error:
         video = content.startswith((b"\0\0\1", b"\0\0\0\1"))
         kind = "holds H.264 or H.265 video" if video else "can't be decoded as JPEG or PNG"
-        what = f"{named} (format '{plain(label)[:60]}') {kind}"
-        raise InputError(f"{what}; record JPEG or PNG, or convert the topic by `image_transport republish`.") from error
+        remedy = "record JPEG or PNG, or convert the topic by `image_transport republish`"
+        raise InputError(f"{named} (format '{plain(label)[:60]}') {kind}; {remedy}.") from error
 
 
 def camera_entries(path: Path, topic: str | None) -> dict[str, Any] | None:
@@ -149,7 +150,7 @@ def camera_entries(path: Path, topic: str | None) -> dict[str, Any] | None:
         InputError: as in `topic_of`, or the lens has another model than those of OpenCV.
     """
     home = PurePosixPath(topic_of(path, topic).removesuffix("/compressed"))
-    info = read_topic(path, str(home.parent / "camera_info"), CAMERAS)
+    info = read_topic(path, str(home.parent / "camera_info"), ("sensor_msgs/msg/CameraInfo",))
     message = next((message for _, message in info if message is not None), None)
     entries = {} if message is None else {name.lower(): value for name, value in vars(message).items()}
     if not entries or entries["k"][0] == 0:  # drivers that know no calibration write zeros; ROS 1 writes K, D and P

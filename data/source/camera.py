@@ -57,12 +57,12 @@ class Camera(Checked):
 
     @property
     def stated(self) -> bool:
-        """Whether the picture's size is known."""
+        """True if the picture's size is known."""
         return (self.width, self.height) != (0, 0)
 
     @property
     def matrix(self) -> np.ndarray:
-        """Its intrinsics as OpenCV takes them, [3, 3]."""
+        """Intrinsics as OpenCV takes them, shape [3, 3]."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
 
     @classmethod
@@ -91,7 +91,7 @@ class Camera(Checked):
 
 @dataclass(frozen=True)
 class Rig(Camera):
-    """What a camera file tells: a camera, the right one beside it if there is one, and lengths.
+    """Content of a camera file: a camera, the right one beside it if there is one, and lengths.
 
     Raises:
         ValueError: numbers that can't be, or are in millimetres.
@@ -100,17 +100,17 @@ class Rig(Camera):
     baseline: Positive | None = None
     """Distance of the cameras of a rectified pair, or of one that only its lenses keep from being one [m]."""
     baseline_sd: NotNegative = 0.0
-    """Its standard deviation, or that of `translation`'s length [m]."""
+    """Standard deviation of the baseline, or of `translation`'s length [m]."""
     rotation: tuple[float, ...] = (1, 0, 0, 0, 1, 0, 0, 0, 1)
     """Rotation of a calibrated pair R, row by row, of X_right = R·X_left + T, as OpenCV's stereoCalibrate gives it."""
     translation: tuple[float, float, float] | None = None
-    """T, in place of a baseline [m]."""
+    """Translation T of that pair, in place of a baseline [m]."""
     right: "Rig | None" = None
     """The right camera, with the keys of the left one; none = the same."""
     metres_per_depth: Positive | None = None
     """Length of a unit of the clip's stored depth [m]; none = not known."""
     metres_per_depth_sd: NotNegative = 0.0
-    """Its standard deviation [m]."""
+    """Standard deviation of `metres_per_depth` [m]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -126,12 +126,12 @@ class Rig(Camera):
 
     @property
     def offset(self) -> tuple[float, float, float] | None:
-        """T [m]; None where no pair is told."""
+        """Translation T [m]; None without a pair."""
         return self.translation if self.baseline is None else (-self.baseline, 0.0, 0.0)
 
     @property
     def turned(self) -> np.ndarray:
-        """R, [3, 3]."""
+        """Rotation R, shape [3, 3]."""
         return np.array(self.rotation, float).reshape(3, 3)
 
 
@@ -139,7 +139,7 @@ def load_camera(path: str | Path, *, stated: bool = False) -> Rig:
     """Camera from a YAML or JSON file, at its top level or under `camera`, or of a program of `camera_formats`.
 
     Args:
-        stated: whether the file must tell the size of its pictures.
+        stated: True = the file must tell the size of its pictures.
 
     Raises:
         InputError: the file is missing, not YAML or JSON, or not a camera.
@@ -215,9 +215,9 @@ class Undistortion:
     """Removes a camera's lens distortion from pictures, label maps and depth maps of one size.
 
     Args:
-        camera: of those pictures.
+        camera: camera of those pictures.
         turn: rotation into the axes of the camera without distortion, shape [3, 3]; None = as it stands.
-        seen: that camera's intrinsics, or projection, shape [3, 3] or [3, 4]; None = they stay as they are.
+        seen: intrinsics or projection of the new pictures, shape [3, 3] or [3, 4]; None = the camera's.
     """
 
     def __init__(self, camera: Camera, turn: np.ndarray | None = None, seen: np.ndarray | None = None) -> None:

@@ -9,7 +9,7 @@ from palpate.common.settings import shown
 from palpate.data.source.layout import InputError
 
 LARGEST_BASELINE = 0.5
-"""A larger distance of a pair's cameras is in millimetres [m]."""
+"""Largest distance of a pair's cameras [m]; larger numbers are in millimetres."""
 
 
 def own_entries(entries: Mapping[str, Any], where: str) -> Mapping[str, Any]:
@@ -76,11 +76,8 @@ def _pair(known: Mapping[str, Any]) -> dict[str, Any]:
     found = _camera(*(known[name] for name in left))
     if right[0] in known:
         found["right"] = _camera(*(known[name] for name in right))
-    return found | (_beside(known["r"], known["t"]) if "t" in known else {})
-
-
-def _beside(rotation: Any, translation: Any) -> dict[str, Any]:
-    """Where the right camera is."""
-    moved = np.array(_numbers(translation, 3))
+    if "t" not in known:
+        return found
+    moved = np.array(_numbers(known["t"], 3))
     metres = moved / 1000 if np.abs(moved).max() > LARGEST_BASELINE else moved
-    return {"rotation": _numbers(rotation, 9), "translation": metres.tolist()}
+    return found | {"rotation": _numbers(known["r"], 9), "translation": metres.tolist()}

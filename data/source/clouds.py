@@ -17,13 +17,13 @@ def read_cloud(path: Path, shape: tuple[int, ...] = (3,)) -> np.ndarray:
 
     Args:
         path: the file.
-        shape: of a point, or of all that is known of one.
+        shape: shape of a point, or of all its numbers.
 
     Returns:
         Shape [m, *shape], float64, in the file's own unit; not seen = NaN. A cloud may be all NaN, or m = 0.
 
     Raises:
-        InputError: it can't be read, or holds points of another shape, or followed points of which none is finite.
+        InputError: it can't be read, or holds points of another shape, or tracked points of which none is finite.
     """
     try:
         # Largest file of a cloud; a million points with normals and colours are smaller [bytes].

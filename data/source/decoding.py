@@ -32,7 +32,7 @@ Kind = TypeVar("Kind")
 LARGEST_FPS = 1000.0
 """Largest frame rate of a camera [1/s]; a stored one above this is a container's default."""
 NEIGHBOURS = 7
-"""Gaps before and after one of which the median is the step."""
+"""Number of gaps before and after one whose median is the local step."""
 
 
 class Timed(NamedTuple, Generic[Kind]):
@@ -70,7 +70,7 @@ def opened(file: Path) -> Generator[tuple[InputContainer, VideoStream]]:
 
 @dataclass
 class _Damage:
-    """How far a pass through a track has come, and what it could not decode."""
+    """Progress of a pass through a track, and the parts that it could not decode."""
 
     errors: int = 0
     """Packets that the decoder refused once it had begun."""
@@ -121,7 +121,7 @@ def numbered(frames: Iterable[tuple[float | None, Kind]], step: float) -> Iterat
     """Number frames, and count their time from the first one.
 
     A missing time stamp, or one that doesn't rise, is a step after the one before. Numbers rise by gaps over the local
-    median of gaps: a lost frame is a jump, a late time stamp that the following ones make up for is none.
+    median of gaps. A lost frame is a jump; a late time stamp that the following ones make up for is none.
 
     Args:
         frames: time stamp [s] and frame, in order.
@@ -150,7 +150,7 @@ def numbered(frames: Iterable[tuple[float | None, Kind]], step: float) -> Iterat
 
 
 def _jump(times: list[float], index: int) -> tuple[int, float]:
-    """By how much numbers rise at a frame other than the first, and the local step [s]."""
+    """Rise of the numbers at a frame other than the first, and the local step [s]."""
     near = times[max(index - 1 - NEIGHBOURS, 0) : index + 1 + NEIGHBOURS]
     step = median(after - before for before, after in pairwise(near))
     # Two gaps on either side make up for one late time stamp.
@@ -168,8 +168,8 @@ class VideoTrack:
         size: width and height of the first picture; None where none can be decoded [px].
         fps: frame rate [1/s].
         length: expected number of frames; 0 = unknown.
-        fields: name and options of FFmpeg's filter that deinterlaces, or removes the flag of what is not interlaced.
-        notes: what is done to the pictures, and what is doubtful about them.
+        fields: name and options of FFmpeg's filter that deinterlaces, or removes a wrong flag.
+        notes: conversions of the pictures, and doubts about them.
     """
 
     def __init__(self, file: Path, span: tuple[float, float], fallback_fps: float) -> None:
@@ -199,7 +199,7 @@ class VideoTrack:
             self._look(container, track)
 
     def _look(self, container: InputContainer, track: VideoStream) -> None:
-        """Find out frame rate, length, size and what is to be done to the pictures."""
+        """Find out frame rate, length, size and conversions of the pictures."""
         offset, stamps, flagged, hdr, picture, stored = FieldOffset(), set(), False, "", None, (0, 0)
         transfers = {ColorTrc.SMPTE2084: "PQ", ColorTrc.ARIB_STD_B67: "HLG"}  # of high dynamic range
         # First frames that are decoded for the frame rate, and for interlacing.
@@ -313,7 +313,7 @@ def _upright(picture: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
 
 
 def _stated_end(container: InputContainer, track: VideoStream, start: float) -> float:
-    """When a track that begins at `start` ends, by its header [s]; infinite where that isn't said of it alone."""
+    """End of a track that begins at `start`, by its header [s]; infinite where that isn't stated for it alone."""
     if track.duration:
         return start + float(track.duration * (track.time_base or 1))
     stated = re.fullmatch(r"(\d+):(\d+):(\d+\.?\d*)", track.metadata.get("DURATION", ""))

@@ -17,7 +17,7 @@ def discover(inputs: list[Path], layout: ClipLayout) -> list[Path]:
     """Clips under the given paths, in natural order within each: video files, bags, frame folders, folders of those.
 
     Raises:
-        InputError: a path does not exist, can't be listed, or holds no clip, or episodes that nobody can tell apart.
+        InputError: a path does not exist, can't be listed, or holds no clip, or episodes without distinct names.
     """
     clips: dict[Path, None] = {}
     for given in map(Path, inputs):

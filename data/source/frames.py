@@ -37,7 +37,7 @@ class Frame:
     path: Path | None = None
     """The image's file, None for a video."""
     error: str = ""
-    """Why there is no image, a sentence."""
+    """Reason for no image, a sentence."""
     right: np.ndarray | None = None
     """The right picture of a stereo pair that came as one with the image."""
 
@@ -65,9 +65,9 @@ class FrameSource(ABC):
     warnings: list[str]
     """Problems of the clip as a whole, filled while iterating."""
     begin_ns: int = 0
-    """Time stamp of the first frame on the clock of what recorded it [ns]; 0 where nobody knows."""
+    """Time stamp of the first frame on the recorder's clock [ns]; 0 if unknown."""
     frame_id: str = "camera_optical_frame"
-    """What ROS calls the camera's axes: x right, y down, z away from it."""
+    """Name of the camera's axes in ROS: x right, y down, z away from it."""
 
     @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
@@ -90,7 +90,7 @@ class Pictures(FrameSource):
 
     @abstractmethod
     def _pictures(self) -> Iterator[tuple[Path | None, np.ndarray | InputError]]:
-        """File, where it has one of its own, and pixels of every picture, or why there are none."""
+        """File, if it has its own, and pixels of every picture, or the reason for none."""
 
     def _first_size(self) -> tuple[int, int]:
         """(width, height) of the first picture that can be read."""
@@ -128,7 +128,7 @@ class FrameFolder(Pictures):
         """
         Args:
             path: folder of the clip's images.
-            layout: how the files are named.
+            layout: names of the files.
             following: folders that continue the clip, in order.
 
         Raises:
@@ -215,14 +215,14 @@ class RosBag(Pictures):
             layout: names the topic, and the frame rate of a bag with one picture.
 
         Raises:
-            InputError: the bag can't be read, nobody says which topic it is, its time stamps don't rise, or none of its
+            InputError: the bag can't be read, its topic is not given, its time stamps don't rise, or none of its
                 pictures can be decoded.
         """
         self.path, self.name, self.warnings = path, name_of(path), []
         self.topic = topic_of(path, layout.topic)
         stamps = time_stamps(read_topic(path, self.topic), f"{printable(path)} ({plain(self.topic)})")
         self._new = np.diff(stamps, prepend=stamps[:1] - 1) > 0
-        """Whether each picture's time stamp is after that of the one before, shape [N]."""
+        """Mask of pictures whose time stamp is after that of the one before, shape [N]."""
         stamps = stamps[self._new]
         steps, self.length = np.diff(stamps) / 1e9, len(stamps)
         self.fps = min(1 / float(np.median(steps)), LARGEST_FPS) if self.length > 1 else layout.fps
@@ -249,7 +249,7 @@ class Halves(FrameSource):
         """
         Args:
             whole: the clip of whole pictures.
-            across: whether the two are side by side; else the left one is on top.
+            across: True = side by side; False = the left one is on top.
         """
         self.path, self.name, self.fps, self.length = whole.path, whole.name, whole.fps, whole.length
         self.begin_ns, self.frame_id = whole.begin_ns, whole.frame_id

@@ -78,23 +78,20 @@ def require_pixels(named: str, width: int, height: int) -> None:
         raise InputError(f"{named} is {width}x{height}, more than {_PIXEL_LIMIT}.")
 
 
-def picture_size(path: Path, width: int, height: int, least: int = 32, aspect: int = 4) -> tuple[int, int]:
-    """(width, height) of a clip's pictures.
-
-    Args:
-        least, aspect: shortest side [px] and largest ratio of the sides; OpenCV's optical flow crashes on others.
+def picture_size(path: Path, width: int, height: int) -> tuple[int, int]:
+    """(width, height) of a clip's pictures, for which OpenCV's optical flow works.
 
     Raises:
         InputError: they are too small, or too long for their height.
     """
-    if min(width, height) < least or max(width, height) > aspect * min(width, height):
+    if min(width, height) < 32 or max(width, height) > 4 * min(width, height):
         problem = f"{printable(path)} has pictures of {width}x{height}"
-        raise InputError(f"{problem}; give at least {least}x{least} and at most {aspect}:1.")
+        raise InputError(f"{problem}; give at least 32x32 and at most 4:1.")
     return width, height
 
 
 def _truncated(content: bytes) -> bool:
-    """Whether a PNG or JPEG lacks its end marker: decoders may fill up the rest of the picture with grey."""
+    """Return whether a PNG or JPEG lacks its end marker: decoders may fill up the rest of the picture with grey."""
     if content.startswith(b"\x89PNG"):
         return b"IEND" not in content[-4096:]
     return content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content[-4096:]

@@ -1,8 +1,8 @@
-"""Detection of interlaced video by its motion, whatever its flags say, and deinterlacing.
+"""Detection of interlaced video by its motion, without its flags, and deinterlacing.
 
 Even and odd rows of a progressive frame show the same instant, those of an interlaced one instants half a frame apart.
-The time offset between them, in frame intervals, is measured by regression. With I the even rows interpolated to the
-odd ones, O the odd rows, and dI, dO half their change from the frame before to the frame after:
+The time offset between them, in frame intervals, is measured by regression. I are the even rows interpolated to the odd
+ones, O the odd rows, and dI, dO half their change from the frame before to the frame after:
 
     O − I = offset · dI        offset = Σ dO (O − I) / Σ dO dI
 
@@ -12,7 +12,6 @@ dO is the instrumental variable, whose noise is independent of that of dI.
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from typing import NamedTuple
 
 import av
 import cv2
@@ -21,22 +20,15 @@ from av.filter import Graph
 from av.video.reformatter import VideoReformatter
 
 LARGEST_OFFSET = 0.25
-"""Largest absolute offset of progressive video, where it is below 0.01; it is 0.65 to 0.79 of interlaced video."""
-
-
-class _Rows(NamedTuple):
-    """Rows of one frame."""
-
-    even: np.ndarray
-    """Even rows interpolated to the odd ones [h, w]."""
-    odd: np.ndarray
+"""Largest absolute offset of progressive video, below 0.01 in measurements; interlaced video has 0.65 to 0.79."""
 
 
 class FieldOffset:
     """Time offset between odd and even rows of consecutive frames."""
 
     def __init__(self) -> None:
-        self._recent: deque[_Rows] = deque(maxlen=3)
+        self._recent: deque[np.ndarray] = deque(maxlen=3)
+        """Even rows interpolated to the odd ones, and odd rows, of the last frames, shape [2, h, w] each."""
         self._sums = np.zeros(4)
         self._reformatter = VideoReformatter()
 
@@ -46,14 +38,14 @@ class FieldOffset:
         # Neighbouring columns that are averaged [px]; more reduces noise and detail.
         luma = cv2.resize(luma, (max(frame.width // 4, 1), frame.height), interpolation=cv2.INTER_AREA)
         luma = luma[: (len(luma) - 1) // 2 * 2 + 1].astype(np.float32)
-        rows = _Rows((luma[:-2:2] + luma[2::2]) / 2, luma[1::2])
-        if self._recent and rows.odd.shape != self._recent[-1].odd.shape:
+        rows = np.stack([(luma[:-2:2] + luma[2::2]) / 2, luma[1::2]])
+        if self._recent and rows.shape != self._recent[-1].shape:
             self._recent.clear()
         self._recent.append(rows)
         if len(self._recent) == 3:
             before, now, after = self._recent
-            even, odd = (after.even - before.even) / 2, (after.odd - before.odd) / 2
-            pairs = (odd, now.odd - now.even), (odd, even), (odd, odd), (even, even)
+            even, odd = (after - before) / 2
+            pairs = (odd, now[1] - now[0]), (odd, even), (odd, odd), (even, even)
             self._sums += [np.vdot(first, second) for first, second in pairs]
 
     def skip(self) -> None:

@@ -1,4 +1,4 @@
-"""How a clip's files are named and stored: patterns for frames, masks, depth and the camera file.
+"""Names and storage of a clip's files: patterns for frames, masks, depth and the camera file.
 
 The default instance is CholecSeg8k; other sequences are described in a YAML file (`configs/layouts/`).
 """
@@ -22,9 +22,6 @@ from palpate.common.settings import Checked, Positive, described, fits, shown
 
 Settings = TypeVar("Settings")
 
-
-HALVES = ("side-by-side", "top-bottom")
-"""How one picture holds the two of a stereo pair, the left one first."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 """Endings of the names of image files."""
 FRAME_RATES = (1e-6, 1e4)
@@ -59,14 +56,14 @@ class ClipLayout(Checked, group="layout."):
     depth_key: str | None = None
     """Name of the array in an .npz file; by default its only one."""
     depth_kind: Literal["depth", "disparity"] = "depth"
-    """Whether the file holds depth or disparity; 0 is invalid in both."""
+    """Content of the file: depth or disparity; 0 is invalid in both."""
     depth_factor: Positive = 1.0
-    """depth = value · factor, or factor / disparity."""
+    """Factor of the stored values: depth = value · factor, or factor / disparity."""
     fps: Annotated[float, *FRAME_RATES] = 25.0
     """Frame rate where the clip does not give one [1/s]."""
     right: str | None = None
-    """Right pictures of a stereo pair: files beside the frames (`img_right/{number}.jpg`), a video's second file beside
-    it (`{name}_right.mp4`), or side-by-side or top-bottom, where every picture holds both."""
+    """Right pictures of a stereo pair: files beside the frames (`img_right/{number}.jpg`) or a video's second file
+    beside it (`{name}_right.mp4`). Pictures that hold both, the left one first: side-by-side or top-bottom."""
     camera: str | None = None
     """Camera file (YAML or JSON) in the layout file's folder, else relative to the clip's folder."""
     topic: str | None = None
@@ -85,8 +82,8 @@ class ClipLayout(Checked, group="layout."):
 
     @property
     def halved(self) -> bool:
-        """Whether every picture holds both of a stereo pair."""
-        return self.right in HALVES
+        """True if every picture holds both of a stereo pair."""
+        return self.right in ("side-by-side", "top-bottom")
 
     @property
     def mask_patterns(self) -> tuple[str, ...]:
@@ -295,11 +292,11 @@ def clip_folder(layout: ClipLayout, frame_path: Path) -> Path:
 
 def right_beside(clip: Path, layout: ClipLayout) -> Path | None:
     """Folder or video file of the right pictures of a stereo pair; None where they lie in the clip, or nothing says."""
-    if layout.right in (None, *HALVES):
+    if layout.right is None or layout.halved:
         return None
     if not clip.is_dir():
-        return clip.parent / str(layout.right).replace("{name}", clip.stem)
-    folder = (clip / str(layout.right)).resolve().parent
+        return clip.parent / layout.right.replace("{name}", clip.stem)
+    folder = (clip / layout.right).resolve().parent
     return None if folder.is_relative_to(clip.resolve()) else folder
 
 

@@ -1,4 +1,4 @@
-"""Videos of LeRobot data sets: which camera and episodes a file shows.
+"""Videos of LeRobot data sets: the camera and the episodes of a file.
 
 Version 2 stores an episode a file, version 3 one after the other: there `VIDEO.mp4/episode_000003` is a clip's path.
 """
@@ -12,7 +12,7 @@ from palpate.data.source.table import reason
 
 
 def file_of(clip: Path) -> Path:
-    """What to read of a clip: of an episode the video that holds it, else the clip itself."""
+    """File to read for a clip: the video that holds an episode, else the clip itself."""
     return clip.parent if isfile(clip.parent) else clip
 
 
@@ -34,10 +34,10 @@ def name_in_data_set(clip: Path) -> str | None:
 
 
 def episodes_in(video: Path) -> dict[str, tuple[float, float]]:
-    """Where the episodes of a file of version 3 begin and end in it [s], by name; empty of other files.
+    """Begin and end of the episodes in a file of version 3 [s], by name; empty for other files.
 
     Raises:
-        InputError: nobody can read where.
+        InputError: they can't be read.
     """
     place = _place(video)
     if place is None or len(place[1].parts) != 3 or not video.stem.startswith("file-"):
@@ -60,7 +60,7 @@ def episodes_in(video: Path) -> dict[str, tuple[float, float]]:
 
 
 def span_of(clip: Path) -> tuple[float, float] | None:
-    """Where an episode begins and ends in its video [s]; None of other clips.
+    """Begin and end of an episode in its video [s]; None for other clips.
 
     Raises:
         InputError: as in `episodes_in`, or the file holds no such episode.

@@ -18,14 +18,14 @@ from palpate.data.source.layout import InputError
 
 
 class LiveSource(FrameSource):
-    """Pictures as they come. Whoever iterates again goes on with the pictures of then.
+    """Pictures as they come; another iteration goes on with the pictures of then.
 
     Args:
-        name: of the source, for messages.
+        name: name of the source, for messages.
         pictures: RGB uint8 [H, W, 3], taken in a thread of their own.
         fps: frames a second.
-        max_latency: of a picture when it is taken; older ones are dropped [s].
-        clocked: whether a picture's time is when it came; otherwise pictures are one frame apart.
+        max_latency: largest age of a picture when it is taken; older ones are dropped [s].
+        clocked: True = times are those of arrival; False = pictures are one frame apart.
 
     Raises:
         InputError: no picture comes at all, or one of an unusable size.
@@ -39,7 +39,7 @@ class LiveSource(FrameSource):
         self.dropped = 0
         """Pictures that were dropped."""
         self.came: dict[int, float] = {}
-        """When the pictures came, by the frame's number, until somebody takes them out [s of `time.monotonic`]."""
+        """Arrival time of each frame by its number, removed by the consumer [s of `time.monotonic`]."""
         self._pictures, self._clocked = pictures, clocked
         self._waiting: deque[tuple[int, float, np.ndarray]] = deque()
         self._ended = self.stopped = False
@@ -65,7 +65,7 @@ class LiveSource(FrameSource):
                     self._waiting.append((number, came, picture))
                     self._drop(came)
                     self._changed.notify()
-        except Exception as error:  # whatever it is, nobody must wait for ever
+        except Exception as error:  # of any kind, so that the reader doesn't wait for ever
             self._error = error
         finally:
             with self._changed:
@@ -118,11 +118,11 @@ def open_live(
 
     Args:
         where: a camera's number, the address of a stream, a video file (played at its own rate), or `-` for the pipe.
-        max_latency: as in `LiveSource` [s].
+        max_latency: largest age of a picture [s], as in `LiveSource`.
         size: width and height of the pipe's pictures [px].
         fps: frames a second; None = the source's own, of a pipe 25.
         pipe: RGB pictures, 3 bytes a pixel, one after the other.
-        every: one of so many pictures is taken, the first one to begin with.
+        every: number of pictures of which the first one is taken.
 
     Raises:
         InputError: it can't be opened, or a size or rate is given that it has of its own.

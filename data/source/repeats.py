@@ -1,7 +1,7 @@
 """Pictures that repeat the one before: capture lost a frame, or wrote more frames than it recorded.
 
-Where a clip has noise of its own, a picture without any is a repeat. Where it has none, as in synthetic pictures and in
-compressed video, a still scene looks the same: there a picture repeats if it stands still between pictures that move.
+Where a clip has noise of its own, a picture without any is a repeat. Synthetic pictures and compressed video have none,
+and a still scene looks the same: there a picture repeats if it stands still between pictures that move.
 """
 
 from collections import deque
@@ -14,9 +14,7 @@ import numpy as np
 from palpate.data.source.frames import Frame
 
 MOST_GAPS = 5
-"""Frames in a row that measure nothing and are bridged; after more of them nobody knows what went on."""
-
-
+"""Largest number of frames in a row that measure nothing and are bridged."""
 HISTORY, LEAST_HISTORY = 5, 3
 """Most and fewest changes by which the next one is judged."""
 
@@ -35,15 +33,16 @@ def _change(before: np.ndarray, after: np.ndarray) -> _Change:
     return _Change(float(squares.max()), float(np.median(squares)))
 
 
-def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True, least: float = 0.25) -> Iterator[tuple[Frame, bool]]:
+def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True) -> Iterator[tuple[Frame, bool]]:
     """Yield every frame with whether its picture repeats the one before.
 
     Args:
-        frames: of a clip, in order.
-        look_ahead: whether a frame may wait for later ones, for up to 0.1 s; else only noise tells a repeat.
-        least: largest change of a repeat over that of the pictures around it. In 54 encoded clips repeats reached 0.25
-            where tissue moved visibly, and other pictures stayed above 0.39.
+        frames: frames of a clip, in order.
+        look_ahead: True = a frame may wait up to 0.1 s for later ones; False = only noise tells a repeat.
     """
+    # Largest change of a repeat over that of the pictures around it. In 54 encoded clips repeats reached 0.25 where
+    # tissue moved visibly, and other pictures stayed above 0.39.
+    most = 0.25
     past: deque[_Change] = deque(maxlen=HISTORY)
     waiting: list[tuple[Frame, _Change, bool]] = []
     last: np.ndarray | None = None
@@ -58,16 +57,16 @@ def mark_repeats(frames: Iterable[Frame], look_ahead: bool = True, least: float 
         change, certain, still = _change(last, green), False, False
         if len(past) >= LEAST_HISTORY:
             usual = _Change(*np.median(past, axis=0))
-            certain = change.largest < least * usual.median
+            certain = change.largest < most * usual.median
             # Compression leaves smaller differences than this between equal pictures [levels].
-            still = change.largest < min(5.0, least * past[-1].largest, least * usual.largest)
+            still = change.largest < min(5.0, most * past[-1].largest, most * usual.largest)
             # Median difference of pictures from which noise alone tells repeats, which are exact there [levels].
             still &= look_ahead and usual.median < 1.0
         last = green
         if certain and not waiting:
             yield frame, True
             continue
-        repeats = not still and all(each.largest < least * change.largest for _, each, _ in waiting)
+        repeats = not still and all(each.largest < most * change.largest for _, each, _ in waiting)
         waiting.append((frame, change, certain))
         # Pictures without noise that stand still for longer are taken for a still scene, as a tool that presses stands.
         if (certain or still) and frame.time_s - waiting[0][0].time_s < 0.1:

@@ -1,6 +1,6 @@
 """A sequence beside a robot: clouds or depth with a tool's poses, as `sequence.yaml` names them, in the poses' frame.
 
-Everything is in metres there, whatever unit and frame the files have.
+All lengths are in metres there, whatever the files' unit and frame.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class SequenceFile(Checked):
     clouds: str | None = None
     """Clouds of tissue alone: PLY or NPZ, as clouds/{number}.ply."""
     depth: str | None = None
-    """Or depth pictures of 16 bits, as depth/{number}.png; what isn't tissue has depth 0. Needs `camera`."""
+    """Depth pictures of 16 bits in place of clouds, as depth/{number}.png; 0 outside tissue. Needs `camera`."""
     camera: str | None = None
     """Camera file of the depth pictures."""
     depth_factor: Positive = 1e-3
@@ -51,13 +51,13 @@ class SequenceFile(Checked):
     hand_eye: tuple[Row, Row, Row, Row] = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     """Pose of the camera in the frame that `camera_on` names."""
     camera_on: Literal["base", "tool"] = "base"
-    """Whether the camera stands in the robot's frame or is carried by the tool."""
+    """Carrier of the camera: the robot's base or the tool."""
     tip: Place = (0.0, 0.0, 0.0)
-    """Where the tool touches tissue, in its own frame."""
+    """Point of the tool that touches tissue, in the tool's frame."""
     grip_radius: Positive | None = None
-    """Tissue around the tip that moves with it; none = 6 mm."""
+    """Radius around the tip within which tissue moves with it; none = 6 mm."""
     gripped_s: tuple[float, float] | None = None
-    """From when to when the tool holds tissue [s]; none = throughout."""
+    """Begin and end of the time in which the tool holds tissue [s]; none = throughout."""
     pins: tuple[dict[str, Place], ...] = ()
     """Boxes in the robot's frame, each with `low` and `high`: tissue in them stands still. None = its far edge does."""
     points: str | None = None
@@ -92,7 +92,7 @@ class Sequence:
     pins: np.ndarray
     """Lower and upper corners of what stands still, shape [B, 2, 3] [m]."""
     grip_radius: float
-    """Tissue so near to the tip moves with it [m]."""
+    """Radius around the tip within which tissue moves with it [m]."""
     gripped: range
     """Frames in which the tool holds tissue."""
     camera: Camera | None
@@ -134,7 +134,7 @@ class Sequence:
 
     @cached_property
     def points(self) -> np.ndarray | None:
-        """What is followed on the tissue, shape [T, P, 3] [m]; not seen = NaN.
+        """Tracks of points on the tissue, shape [T, P, 3] [m]; not seen = NaN.
 
         Raises:
             InputError: the file can't be used.
@@ -153,20 +153,20 @@ class Sequence:
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """Where a tool is over time; K rows."""
+    """Poses of a tool over time; K rows."""
 
     path: Path
     times: np.ndarray
-    """Rising, shape [K] [s]."""
+    """Times of the poses, rising, shape [K] [s]."""
     turns: Rotation
-    """K of them, in the robot's frame."""
+    """Orientations in the robot's frame, K of them."""
     places: np.ndarray
-    """Places of its own frame's origin, shape [K, 3] [m]."""
+    """Places of the tool's origin, shape [K, 3] [m]."""
     tip: np.ndarray
-    """Where it touches tissue, in its own frame, shape [3] [m]."""
+    """Point that touches tissue, in the tool's frame, shape [3] [m]."""
 
     def at(self, times: np.ndarray | float) -> np.ndarray:
-        """Its poses by times [...] [s] between the rows', beyond them those of the ends, shape [..., 4, 4]."""
+        """Poses at times [...] [s], interpolated between the rows, beyond them those of the ends, shape [..., 4, 4]."""
         inside = np.clip(times, self.times[0], self.times[-1])
         found = np.zeros((*np.shape(times), 4, 4))
         found[..., :3, :3] = Slerp(self.times, self.turns)(inside).as_matrix()
@@ -175,7 +175,7 @@ class Tool:
         return found
 
     def tips(self, times: np.ndarray) -> np.ndarray:
-        """Where its tip is by times [T] [s], shape [T, 3] [m]."""
+        """Places of the tip at times [T] [s], shape [T, 3] [m]."""
         return self.at(times) @ np.append(self.tip, 1.0) @ np.eye(4, 3)
 
 
@@ -185,15 +185,15 @@ def moved(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether a path is a file such as sequence.yaml."""
+    """Return whether a path is a file such as sequence.yaml."""
     return path.suffix.lower() in (".yaml", ".yml") and path.is_file()
 
 
 def open_sequence(path: Path) -> Sequence:
-    """Read what a sequence's file says; whether it fits together is for `sequence_checks` to see.
+    """Read a sequence's file; `sequence_checks` tests its consistency.
 
     Raises:
-        InputError: it, or a file that it names, can't be read or can't be.
+        InputError: the file, or one that it names, can't be read or used.
     """
     where, folder = printable(path), path.parent
     given = from_mapping(SequenceFile, read_mapping(path, "a sequence"), where)

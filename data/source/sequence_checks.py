@@ -1,4 +1,4 @@
-"""Whether a sequence's files fit together, told from the data: units and frames."""
+"""Consistency checks of a sequence's files by their data: units and frames."""
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -8,14 +8,14 @@ from palpate.data.source.layout import InputError
 from palpate.data.source.sequence import Sequence
 
 NEAR = 0.01
-"""A tip that never comes so near to the tissue, while it holds it, is in another frame [m]."""
+"""Largest distance of the tip from tissue that it holds; beyond, it is in another frame [m]."""
 
 
 def require_fit(sequence: Sequence) -> None:
-    """See whether all that a sequence names fits together.
+    """Require that all that a sequence names fits together.
 
     Raises:
-        InputError: it doesn't, a sentence that says what to mend; or a file can't be used.
+        InputError: it doesn't, or a file can't be used.
     """
     held, first = sequence.held, sequence.first[1]
     # Frames of coordinates are compared by 150 frames, and 3000 points of each.

@@ -17,17 +17,17 @@ MOST_BYTES = 2**26
 """Largest table that is read [bytes]; an hour of a sensor at 1000 rows a second is smaller."""
 
 
-def reason(error: Exception, most: int = 120) -> str:
-    """Why a file can't be read, in a few words of so many letters at most, which don't repeat its content."""
+def reason(error: Exception) -> str:
+    """Reason why a file can't be read, in at most 120 letters, which don't repeat its content."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if isinstance(error, UnicodeError):
         return "it is no text"
     if isinstance(error, KeyError):
-        return f"there is no {plain(str(error))[:most]}"
+        return f"there is no {plain(str(error))[:120]}"
     if isinstance(error, (TypeError, AttributeError, RecursionError)):
         return "it is built otherwise"
-    return plain(str(error))[:most]
+    return plain(str(error))[:120]
 
 
 def read_columns(path: Path, columns: Sequence[str], what: str) -> np.ndarray:
@@ -58,8 +58,8 @@ def read_series(path: Path, columns: Sequence[str], what: str, least: int) -> np
     """Columns of a table over time, of which the first rises, shape [rows, columns]; all values are finite.
 
     Args:
-        columns: as in `read_columns`.
-        what: as in `read_columns`.
+        columns: names of the columns.
+        what: expected kind of table, for the error message.
         least: smallest number of rows.
 
     Raises:

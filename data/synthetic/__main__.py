@@ -26,15 +26,10 @@ from palpate.common.settings import LARGEST
 from palpate.data.synthetic.clip import clip_seed, write_clip
 from palpate.data.synthetic.settings import SceneSettings
 
-SIZES = {"full": (854, 480), "medium": (428, 240), "small": (214, 120)}
-"""Named picture sizes [px]: CholecSeg8k's, half of it, the network's input."""
-SIZE = ("width", "height")
-"""Settings of a scene that are one option."""
-
 
 @dataclass(frozen=True)
 class Clips:
-    """Which clips are written."""
+    """Clips to write."""
 
     output: Path
     """folder that gets videoNN/videoNN_00000/"""
@@ -59,19 +54,21 @@ def picture_size(text: str) -> tuple[int, int]:
     Raises:
         ValueError: neither.
     """
-    found = SIZES.get(text) or size_of(text.lower())
+    sizes = {"full": (854, 480), "medium": (428, 240), "small": (214, 120)}  # CholecSeg8k's, half, the network's input
+    found = sizes.get(text) or size_of(text.lower())
     if found is None:
-        raise ValueError(f"--size is '{text}'; give {', '.join(SIZES)} or WIDTHxHEIGHT such as 854x480")
+        raise ValueError(f"--size is '{text}'; give {', '.join(sizes)} or WIDTHxHEIGHT such as 854x480")
     return found
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the clips that the command line asks for; returns the exit status: 0 done, 1 failed, 2 wrong usage."""
     console = Console(stderr=True)
-    given = vars(parse((Clips, SceneSettings), arguments, "data.synthetic", __doc__, without=SIZE))
+    sides = "width", "height"  # one option, --size
+    given = vars(parse((Clips, SceneSettings), arguments, "data.synthetic", __doc__, without=sides))
     try:
         wanted = filled(Clips, given)
-        settings = filled(SceneSettings, given | dict(zip(SIZE, picture_size(wanted.size), strict=True)))
+        settings = filled(SceneSettings, given | dict(zip(sides, picture_size(wanted.size), strict=True)))
     except ValueError as error:
         say(console, str(error), "red")
         return 2

@@ -69,7 +69,7 @@ def observe(scene: Scene, motion: TrueMotion, seed: int) -> Iterator[tuple[np.nd
 
     Yields:
         RGB picture, shape [H, W, 3], uint8; grey class codes of `data.masks.class_table`, shape [H, W], uint8; z times
-        its type's largest value, shape [H, W], uint8 or uint16, 0 = invalid.
+        its type's largest value, uint8 or uint16, 0 = invalid.
     """
     settings = scene.settings
     renderer = Renderer(scene, motion, np.random.default_rng([seed, 2]))
@@ -147,7 +147,7 @@ def write_clip(
 
 
 def _same_clip(truth: Path, settings: SceneSettings, seed: int) -> bool:
-    """Whether a truth file records these settings and this seed."""
+    """Return whether a truth file records these settings and this seed."""
     try:
         recorded = json.loads(read_file(truth))
     except (OSError, ValueError, RecursionError):

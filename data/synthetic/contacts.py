@@ -1,8 +1,7 @@
 """Contacts without pictures: motions of the true scenes' meshes, as many as a network's first training needs.
 
-Geometry, tissue and timing are drawn as for the synthetic clips (`data.synthetic`), but the motion is the simulator's
-own and nothing is rendered, which is some hundred times faster. What a training reads of them is the observed motion; θ
-is kept for evaluation alone.
+Geometry, tissue and timing are drawn as for the synthetic clips (`data.synthetic`). The motion is the simulator's own
+and nothing is rendered, which is some hundred times faster. Training reads the observed motion; θ is for evaluation.
 """
 
 import itertools
@@ -55,7 +54,7 @@ def draw_contacts(
         count: number of contacts.
         time_step: duration of a step of the loads [s].
         within: largest difference between the true and the stamped time of a press's begin, and of its end [s].
-        sequence: whether the depth-change sequences of the dents are made as well, in pictures of the grid's size or of
+        sequence: True = with the dents' depth-change sequences, in pictures of the grid's size or of
             CholecSeg8k's, drawn for each contact.
     """
     scene = draw_scene(settings, np.random.default_rng([seed, 0]))
@@ -76,7 +75,7 @@ def _draw_press(
 
     Args:
         mesh, vertex: the part of the scene's mesh that is simulated, and its contact vertex.
-        patches: of the views of which one is drawn for the depth-change sequence; empty = none is made.
+        patches: views of which one is drawn for the depth-change sequence; empty = none is made.
     """
     settings, direction = scene.settings, scene.direction
     theta = draw_theta(settings, generator)

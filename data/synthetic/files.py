@@ -20,15 +20,6 @@ from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import PressedMotion, damping_ratio, regime_of
 from palpate.physics.mechanics import PARAMETERS
 
-OWN = {"PressedMotion": ("response", "force", "touched"), "GrippedMotion": ("log_stiffness", "reaction", "course")}
-"""Arrays of truth.npz that one kind of motion alone has."""
-UNITS = "scene units (stored depth over its type's largest value), s; stiffness, damping and force normalised, not N"
-INTEGRATOR = f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}"
-GRIP_INTEGRATOR = f"BDF2, {SUBSTEPS} steps a frame"
-COLORS = np.zeros((256, 3), np.uint8)
-"""RGB of every grey class code."""
-COLORS[[entry.grey for entry in CLASSES.values()]] = [entry.color for entry in CLASSES.values()]
-
 
 def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray, stored_depth: np.ndarray) -> None:
     """Write one frame's four PNG files.
@@ -37,24 +28,31 @@ def write_frame(folder: Path, number: int, image: np.ndarray, labels: np.ndarray
         OSError: a file can't be written.
     """
     stem = folder / f"frame_{number}_endo"
+    colors = np.zeros((256, 3), np.uint8)
+    colors[[entry.grey for entry in CLASSES.values()]] = [entry.color for entry in CLASSES.values()]
     _write_png(stem, "", image[..., ::-1])
-    _write_png(stem, "_color_mask", COLORS[labels][..., ::-1])
+    _write_png(stem, "_color_mask", colors[labels][..., ::-1])
     # The real watershed masks have three equal channels.
     _write_png(stem, "_watershed_mask", np.repeat(labels[..., None], 3, axis=2))
     _write_png(stem, "_depth", stored_depth)
 
 
 def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotion, seed: int) -> None:
-    """Write clip.json (what a user may know) and truth.json and truth.npz (what no training may read).
+    """Write clip.json (known to users) and truth.json and truth.npz (for no training).
 
-    Arrays of truth.npz: trajectory [F, 3], the displacement of the vertex that the tool touches; in_contact [F]; times
-    [F]; mesh_vertices [N, 3], mesh_springs [S, 2], mesh_rim [N] and mesh_pixels [N, 2] of the organ at rest, of a grip
-    of all tissue; moving [M], field [F, M, 3] (float16), the vertices that move and their displacement; tip [F, 3] of a
-    filled view, the point of the tool that touches. Of a press: response [R, 3], the contact vertex every 5 ms from the
-    force's start (onset_s + force_delay_s), the first 5 ms after it; force [F], signed, just after each frame's time;
-    touched [F], the mesh vertex that the tool touches. Of a grip: log_stiffness [h, w], relative to the mean at every
-    grid pixel; reaction [F, 2], what holds the tissue over k_s along the picture's axes; course [F, 2], the tip of
-    an island's tool from the contact vertex in the picture, columns and rows [grid px].
+    Arrays of truth.npz:
+        trajectory [F, 3]: displacement of the vertex that the tool touches.
+        in_contact, times [F]: contact, and time stamps [s], of the frames.
+        mesh_vertices [N, 3], mesh_springs [S, 2], mesh_rim [N], mesh_pixels [N, 2]: organ (grip: tissue) at rest.
+        moving [M], field [F, M, 3] (float16): vertices that move, and their displacement.
+        tip [F, 3]: point of the tool that touches, in a filled view.
+        response [R, 3]: displacement of a press's contact vertex every 5 ms after the force's start (onset_s +
+            force_delay_s).
+        force [F]: signed force of a press just after each frame's time.
+        touched [F]: mesh vertex that a press touches.
+        log_stiffness [h, w]: log stiffness of gripped tissue at every grid pixel, relative to its mean.
+        reaction [F, 2]: force of a grip over k_s along the picture's axes.
+        course [F, 2]: offset of an island's gripping tool from the contact vertex, columns and rows [grid px].
     """
     settings, mesh = scene.settings, scene.mesh
     camera = dataclasses.asdict(reported_camera(scene.camera, settings))
@@ -64,7 +62,9 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
     arrays |= {"moving": motion.moving.astype(np.int32), "field": motion.field.astype(np.float16)}
     tool = {} if motion.passage is None else vars(motion.passage)
     arrays |= {name: value for name, value in tool.items() if name == "tip"}
-    np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in OWN[type(motion).__name__]})
+    pressed = isinstance(motion, PressedMotion)
+    own = ("response", "force", "touched") if pressed else ("log_stiffness", "reaction", "course")
+    np.savez(folder / "truth.npz", **arrays, **{name: getattr(motion, name) for name in own})
     truth = {
         "seed": seed,
         "action": settings.action,
@@ -77,7 +77,8 @@ def write_truth(folder: Path, scene: Scene, motion: PressedMotion | GrippedMotio
         "direction": scene.direction.tolist(),
         "tool": {name: np.asarray(value).tolist() for name, value in tool.items() if name != "tip"},
         "camera": dataclasses.asdict(scene.camera),
-        "units": UNITS,
+        "units": "scene units (stored depth over its type's largest value), s; stiffness, damping and force "
+        "normalised, not N",
         "settings": dataclasses.asdict(settings),
     }
     for name, content in (("truth.json", truth), ("clip.json", clip)):
@@ -88,7 +89,7 @@ def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion) -> dict[st
     """Entries of truth.json that one kind of motion alone has."""
     if isinstance(motion, GrippedMotion):
         ratios = {"foundation_over_stiffness": motion.anchor, "damping_over_stiffness": motion.damping}
-        return ratios | {"integrator": GRIP_INTEGRATOR}
+        return ratios | {"integrator": f"BDF2, {SUBSTEPS} steps a frame"}
     zeta = damping_ratio(motion.theta[0], motion.theta[1], scene.settings.mass)
     return {
         "theta": dict(zip(PARAMETERS, motion.theta.tolist(), strict=True)),
@@ -101,7 +102,7 @@ def _own_entries(scene: Scene, motion: PressedMotion | GrippedMotion) -> dict[st
         "force_profile": scene.settings.profile,
         "force_shape": dataclasses.asdict(motion.shape),
         "peak_displacement": motion.peak,
-        "integrator": INTEGRATOR,
+        "integrator": f"DOP853 (scipy), relative tolerance {RELATIVE_TOLERANCE:g}, absolute {ABSOLUTE_TOLERANCE:g}",
     }
 
 

@@ -1,8 +1,8 @@
 """True motion of tissue that a tool holds and moves, or only passes over.
 
-A sheet under tension on a foundation, m ü + k_d u̇ + K u = 0 away from the grip: the model of `physics.sheet` with
-inertia and damping, by another integrator (BDF2 with short steps) on a grid twice as fine, which continues outside the
-picture. The sheet lies in the picture's plane and is the same everywhere, whatever the tissue's depth.
+The model is a sheet under tension on a foundation, m ü + k_d u̇ + K u = 0 away from the grip: that of `physics.sheet`
+with inertia and damping. The integrator is BDF2 with short steps, on a grid twice as fine that continues outside the
+picture. The sheet lies in the picture's plane and is the same everywhere at any depth of the tissue.
 """
 
 import math
@@ -11,28 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array
-from scipy.sparse.linalg import splu
 from scipy.special import k0e, k1e
 
 from palpate.data.synthetic.scene import Scene, draw_way, require_room
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.truth import TrueMotion
+from palpate.physics.fem.linear_system import factorised
 from palpate.physics.mesh import grid_springs, laplacian
 
 SUBSTEPS = 8
 """Time steps of the integrator a frame."""
 MARGIN_PX = 32
-"""Width of the tissue that is integrated outside the picture [grid px]; `edge_anchor` stands for what lies farther."""
+"""Width of the tissue that is integrated outside the picture [grid px]; `edge_anchor` stands for farther tissue."""
 GRIP_RADIUS = 2.5
 """Radius of the tissue between the jaws, around the contact vertex [grid px]."""
-RISE_SHARE = (0.6, 0.95)
-"""Range of the share of the time in contact after which the tool is farthest from its start."""
-LARGEST_BEND = 0.2
-"""Largest sideways bend of the tool's path, as a share of its length."""
-REGION_LINE_OFFSET, REGION_LINE_HALF_WIDTH = (-4.0, 10.0), 2.0
-"""Range of the distance between the grip and the line between two regions, and half the width of the step [grid px]."""
-APPROACH_LENGTH = (15.0, 45.0)
-"""Range of the distance between the contact vertex and where the tool's approach begins [grid px]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,8 +94,8 @@ def draw_tip_path(scene: Scene, generator: np.random.Generator) -> Callable[[np.
         SceneError: the path would leave the picture.
     """
     far = draw_way(scene, "peak_displacement", scene.spacing, generator)
-    sideways = generator.uniform(-LARGEST_BEND, LARGEST_BEND) * np.array([-far[1], far[0]])
-    rise = generator.uniform(*RISE_SHARE)
+    sideways = generator.uniform(-0.2, 0.2) * np.array([-far[1], far[0]])
+    rise = generator.uniform(0.6, 0.95)  # share of the time in contact after which the tool is farthest from its start
 
     def path(shares: np.ndarray) -> np.ndarray:
         share = np.clip(shares / rise, 0, 1)
@@ -119,7 +111,7 @@ def draw_course(onset: int, settings: SceneSettings, generator: np.random.Genera
     The tip comes in an arc, or passes over the contact if it never touches.
     """
     angle, bend = generator.uniform(0, 2 * np.pi), generator.uniform(-0.5, 0.5)
-    far = generator.uniform(*APPROACH_LENGTH) * np.array([math.cos(angle), math.sin(angle)])
+    far = generator.uniform(15.0, 45.0) * np.array([math.cos(angle), math.sin(angle)])  # where the approach begins
     left = np.clip((onset - np.arange(settings.frames)) / max(onset, 1), 0, 1)[:, None]
     left = 2 * left - 1 if onset >= settings.frames else left * left * (3 - 2 * left)
     return left * far + bend * (left - left * np.abs(left)) * np.array([-far[1], far[0]])
@@ -129,10 +121,10 @@ def _draw_regions(scene: Scene, generator: np.random.Generator) -> np.ndarray:
     """Log stiffness over the tissue, the picture's mean 0: a smooth step across a line near the grip."""
     row, column = scene.mesh.pixels[scene.vertex]
     rows, columns = (side + 2 * MARGIN_PX for side in scene.mesh.grid_shape)
-    angle, offset = generator.uniform(0, 2 * np.pi), generator.uniform(*REGION_LINE_OFFSET)
+    angle, offset = generator.uniform(0, 2 * np.pi), generator.uniform(-4.0, 10.0)
     down, right = np.mgrid[:rows, :columns] - MARGIN_PX - np.array([row, column])[:, None, None]
     across = right * math.cos(angle) + down * math.sin(angle) - offset
-    log = math.log(scene.settings.regions) / 2 * np.tanh(across / REGION_LINE_HALF_WIDTH)
+    log = math.log(scene.settings.regions) / 2 * np.tanh(across / 2.0)
     return log - log[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX].mean()
 
 
@@ -148,8 +140,8 @@ def _integrate(
         path: displacement of the grip after each step, shape [S, 2] [grid px].
 
     Returns:
-        Displacement of the picture's nodes at the frames' times, shape [S / SUBSTEPS + 1, h, w, 2], and the force that
-        holds the grip, shape [S / SUBSTEPS + 1, 2] [unit of a spring's stiffness × grid px].
+        Displacement of the picture's nodes at the T = S / SUBSTEPS + 1 frames' times, shape [T, h, w, 2], and the force
+        that holds the grip, shape [T, 2] [unit of a spring's stiffness × grid px].
     """
     rows, columns = (side + 2 * MARGIN_PX for side in scene.mesh.grid_shape)
     # The motion in which all tissue has the same displacement is over-damped, ζ = 2.
@@ -163,9 +155,7 @@ def _integrate(
     held = (apart <= GRIP_RADIUS).ravel()
     advanced = matrix + shift * diags_array(np.ones(rows * columns))
     free = advanced[~held]
-    # The matrix is symmetric and positive definite, so it needs no pivoting.
-    symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    factors = splu(free[:, ~held].tocsc(), **symmetric)
+    factors = factorised(free[:, ~held].tocsc())
     ties = free[:, held].sum(axis=1)[:, None]
     place, before, speed, speed_before = (np.zeros((rows * columns, 2)) for _ in range(4))
     displacement, reaction = [np.zeros((*scene.mesh.grid_shape, 2))], [np.zeros(2)]
@@ -188,7 +178,7 @@ def _integrate(
 def edge_anchor(log_stiffness: np.ndarray, anchor: float, grip: np.ndarray) -> np.ndarray:
     """Anchor that stands for the tissue outside an edge, at the edge's nodes, shape [rows, columns]; 0 elsewhere.
 
-    Around a grip motion at rest dies away as K₀(r/L), L² = 3 · stiffness/anchor, so that across the edge it falls by
+    Around a grip, displacement at rest dies away as K₀(r/L), L² = 3 · stiffness/anchor. Across the edge it falls by
     K₁/K₀ · cos(angle)/L a node, which three springs carry. A free edge would reflect what reaches it.
 
     Args:

@@ -16,9 +16,9 @@ from palpate.physics.load import Press, PressShape
 from palpate.physics.mesh import Mesh, incidence
 
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-6, 1e-9
-"""Local error of the integrator; positions come out within about 1e-6 scene units."""
+"""Tolerances of the integrator's local error, for positions within about 1e-6 scene units."""
 STILL = np.zeros(2)
-"""No travel."""
+"""Travel of a press that stays where it is, rows and columns [grid px]."""
 
 
 @dataclass(frozen=True)

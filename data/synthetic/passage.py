@@ -1,4 +1,4 @@
-"""The tool of a view that tissue fills: its way in space, what it covers, and its shadows.
+"""The tool of a view that tissue fills: its way in space, the pixels that it covers, and its shadows.
 
 A ball at its tip, a cone and a shaft, in front of the tissue in every frame. The ball touches the tissue along the line
 of sight. The tool comes and leaves along its axis or a little aside of it.
@@ -19,10 +19,6 @@ if TYPE_CHECKING:
 
 SHAFT_RADIUS = 0.021
 """Radius of the shaft [scene units]."""
-LAMP_RADIUS = 0.006
-"""Radius of a lamp, which decides how soft shadows are [scene units]."""
-FARTHEST = 0.12
-"""Largest distance of the tip from where it touches [scene units]."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +43,8 @@ class Passage:
             rays: unit vectors, shape [..., 3].
 
         Returns:
-            Distance along the ray, distance from the axis, the tool's radius there, place along the axis [scene units],
-            and the sine of the angle between ray and surface line, shape [...] each.
+            Distance along the ray, distance from the axis, the tool's radius there, place along the axis [scene units];
+            the sine of the angle between ray and surface line; shape [...] each.
         """
         tip = self.tip[frame]
         center = (tip * (1 - self.ball / np.linalg.norm(tip)) - origin).astype(np.float32)
@@ -65,7 +61,7 @@ class Passage:
         """Share of a lamp's disc at a place [3] that points see past the tool, both of shape [H, W, …]."""
         far = np.linalg.norm(points - lamp, axis=-1)
         reach, apart, radius, *_ = self.crossed(frame, lamp, (points - lamp) / far[..., None])
-        blur = 2 * LAMP_RADIUS * np.maximum(1 - reach / far, 1e-6)
+        blur = 2 * 0.006 * np.maximum(1 - reach / far, 1e-6)  # by the lamp's radius [scene units]
         return np.where((reach > 0) & (reach < far), np.clip(0.5 + (apart - radius) / blur, 0, 1), 1.0)
 
 
@@ -102,6 +98,7 @@ def draw_passage(scene: Scene, motion: TrueMotion, generator: np.random.Generato
     size, contact = np.array(scene.mesh.grid_shape[::-1]), scene.mesh.pixels[scene.vertex, ::-1]
     room = np.min(np.where(scene.entry > 0, size - 1 - contact, contact) / np.abs(scene.entry)) * scene.spacing
     away = np.maximum(np.maximum(begin - frames, frames - end + 1) - share, 0)
-    tip = tip + np.minimum(speed * away, min(reach * room, FARTHEST))[:, None] * back
+    # The tip goes no farther than 0.12 scene units from where it touches.
+    tip = tip + np.minimum(speed * away, min(reach * room, 0.12))[:, None] * back
     ball, cone = scene.spacing * np.array((max(0.7, 0.8 * radius), generator.uniform(25, 45)))
     return Passage(tip, axis, ball, cone)

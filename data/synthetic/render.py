@@ -22,12 +22,6 @@ GREY = {name: entry.grey for name, entry in CLASSES.items()}
 """Grey code of every class."""
 ALBEDO = {"gallbladder": (0.80, 0.49, 0.34), "liver": (0.36, 0.12, 0.10), "abdominal wall": (0.62, 0.30, 0.24)}
 """Linear RGB of the tissues."""
-FAT_ALBEDO = (0.78, 0.62, 0.25)
-"""Linear RGB of fat."""
-LENS = np.zeros(3, np.float32)
-"""Place of a lamp at the lens."""
-FAT_LIFT = 0.04
-"""How far the occluding piece of fat lies before the tissue [scene units]."""
 
 
 class Renderer:
@@ -94,9 +88,9 @@ class Renderer:
             total = total + light / len(self.lamps)
         return np.asarray(total)
 
-    def _tissue_light(self, view: SheetView, region: tuple[slice, slice], lamp: np.ndarray = LENS) -> np.ndarray:
+    def _tissue_light(self, view: SheetView, region: tuple[slice, slice], lamp: np.ndarray) -> np.ndarray:
         """Linear light of the tissue over a region if a lamp at a place [3] gives all light, shape [h, w, 3]."""
-        # Smoothing and gradients need neighbours: the border of what is computed is not used.
+        # Smoothing and gradients need neighbours: the border of the computed picture is not used.
         margin = math.ceil(4 * self.scene.settings.cell[0])
         starts = [max(part.start - margin, 0) for part in region]
         inner = tuple(slice(p.start - start, p.stop - start) for p, start in zip(region, starts, strict=True))
@@ -105,8 +99,10 @@ class Renderer:
         # Tissue that enters the picture shows a mirror image of the texture inside it, so that it can be followed.
         albedo = cv2.remap(self.albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         bumps = cv2.remap(self.bumps, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-        rays = self.rays[outer]
-        points = rays * _smooth(view.depth[outer], 0.6 * self.scene.settings.cell[0])[..., None]
+        depth, sigma = view.depth[outer], 0.6 * self.scene.settings.cell[0]
+        if sigma >= 1:  # round off the ramps between the vertices' plates
+            depth = cv2.GaussianBlur(depth, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        points = self.rays[outer] * depth[..., None]
         normals = surface_normals(points)
         distance_square = np.einsum("ijk,ijk->ij", lamp - points, lamp - points)
         towards = (lamp - points) / np.sqrt(distance_square)[..., None]
@@ -135,11 +131,10 @@ class Renderer:
         radius = np.square(columns) + np.square(rows)[:, None]
         fat = radius < 1
         labels[fat] = GREY["fat"]
-        thickness = FAT_LIFT * np.sqrt(1 - radius[fat])
-        depth[fat] -= 0.25 * FAT_LIFT + thickness
+        depth[fat] -= 0.01 + 0.04 * np.sqrt(1 - radius[fat])  # the fat lies before the tissue [scene units]
         shade = np.sqrt(1 - 0.7 * radius[fat]) * np.square(EXPOSURE_DISTANCE / depth[fat])
         speckle = self.albedo[..., 0][fat] / self.albedo[..., 0][fat].mean()
-        light[fat] = np.array(FAT_ALBEDO) * (shade * (0.5 + 0.5 * speckle))[:, None]
+        light[fat] = np.array((0.78, 0.62, 0.25)) * (shade * (0.5 + 0.5 * speckle))[:, None]
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
@@ -150,11 +145,6 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     # The table is even in the root of the light, where the curve is nearly straight.
     position = np.sqrt(linear) * (table_size - 1)
     return encoded.astype(np.float32)[np.rint(position).astype(np.int32)]
-
-
-def _smooth(depth: np.ndarray, sigma: float) -> np.ndarray:
-    """Depth for shading: the ramps between the vertices' plates rounded off."""
-    return depth if sigma < 1 else cv2.GaussianBlur(depth, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
 
 
 def surface_normals(points: np.ndarray) -> np.ndarray:

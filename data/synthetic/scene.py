@@ -1,7 +1,7 @@
 """Geometry of a synthetic scene: the tissue sheet, the outline of the organ, contact vertex and entry of the tool.
 
-The sheet is a smooth height field over the camera's rays, its normal at the contact within a few degrees of the line of
-sight, so that the depth map shows a press. The true mesh is the grid mesh of the undeformed organ on the network's
+The sheet is a smooth height field over the camera's rays. Its normal at the contact is within a few degrees of the line
+of sight, so that the depth map shows a press. The true mesh is the grid mesh of the undeformed organ on the network's
 grid, the very topology that is later fitted (docs/reports/identifiability.md).
 """
 
@@ -16,8 +16,6 @@ from palpate.physics.mesh import Mesh, contact_normal, grid_mesh
 
 NEAREST_DEPTH, FARTHEST_DEPTH = 0.33, 0.95
 """Depths between which the whole sheet must lie [scene units]; above 1 the stored depth would saturate."""
-TIP_MARGIN = 12.0
-"""Least distance of the tip from the picture's border after its way [grid px]."""
 CLEARANCE = 7.0
 """Distance of the tool from the organ in the frames next to contact, in the picture plane [grid px]."""
 
@@ -26,19 +24,15 @@ class SceneError(ValueError):
     """The settings leave no scene to draw; the message is a sentence that says what to change."""
 
 
-MOST_MOTION_BYTES = 2**30
-"""Largest size of a clip's motion in memory [bytes]."""
-
-
 def require_room(values: int) -> None:
     """Refuse a motion of more numbers than memory should hold, before it is integrated.
 
     Raises:
-        SceneError: it takes more than `MOST_MOTION_BYTES`.
+        SceneError: it takes more than 1 GB.
     """
-    if 8 * values > MOST_MOTION_BYTES:
-        size = f"{8 * values / 2**30:.1f} GB, more than {MOST_MOTION_BYTES / 2**30:g}"
-        raise SceneError(f"The motion of all frames takes {size}; give fewer --frames, or a smaller grid.")
+    if (size := 8 * values / 2**30) > 1:
+        problem = f"The motion of all frames takes {size:.1f} GB, more than 1"
+        raise SceneError(f"{problem}; give fewer --frames, or a smaller grid.")
 
 
 @dataclass(frozen=True)
@@ -59,8 +53,8 @@ class Sheet:
     def depth(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Depth z [scene units] along the rays (x, y, 1), any shape.
 
-        A plane through the contact times (1 + h), where h and its gradient vanish at the contact, so that the plane's
-        normal is the sheet's there.
+        A plane through the contact times (1 + h). As h and its gradient vanish at the contact, the plane's normal is
+        the sheet's there.
         """
         ray = np.array([*self.contact_ray, 1.0])
         plane = self.distance * (self.normal @ ray) / (self.normal[0] * x + self.normal[1] * y + self.normal[2])
@@ -118,7 +112,7 @@ class Scene:
     entry: np.ndarray
     """Unit vector in the picture from the contact to where the tool enters, shape [2]."""
     exit_offset: float
-    """How far the tip must draw back along `entry` to be clear of the organ [grid px]."""
+    """Distance along `entry` by which the tip must draw back to be clear of the organ [grid px]."""
 
     @property
     def spacing(self) -> float:
@@ -201,7 +195,8 @@ def draw_way(scene: Scene, name: str, unit: float, generator: np.random.Generato
     for _ in range(100):
         far = generator.uniform(*lengths) / unit * _direction(generator.uniform(0, 2 * np.pi))
         end = scene.mesh.pixels[scene.vertex, ::-1] + far
-        if np.minimum(end, size - end).min() > TIP_MARGIN and inner[tuple(np.rint(end[::-1]).astype(int))]:
+        # The tip stays 12 grid px inside the picture.
+        if np.minimum(end, size - end).min() > 12.0 and inner[tuple(np.rint(end[::-1]).astype(int))]:
             return far
     raise SceneError(f"scene.{name} {lengths} leaves the picture; choose smaller.")
 

@@ -35,10 +35,10 @@ class SceneSettings(Checked, group="scene."):
     grid_height: Annotated[int, 48, MOST_SIDE] = 120
     """Rows of the true mesh's grid, the network's input height."""
     view: Literal["island", "filled"] = "island"
-    """What the picture shows: an organ that the tool leaves along the picture's plane while it doesn't touch, or, as in
-    a real view, organs that fill it, with the tool in front of them in every frame."""
+    """Content of the picture: an organ that the tool leaves along the picture's plane while it doesn't touch (island);
+    or organs that fill it as in a real view, with the tool in front of them in every frame."""
     masked: Literal["organ", "all"] = "organ"
-    """What stored masks call gallbladder, and the true mesh covers: the target organ, or all tissue."""
+    """Tissue that stored masks call gallbladder and that the true mesh covers: the target organ, or all tissue."""
     field_of_view_deg: Annotated[float, 20, 110] = 60.0
     """Horizontal field of view [degrees]."""
     stiffness: Annotated[Range, 1e-6, 1e9] = (0.2, 1.0)
@@ -54,10 +54,9 @@ class SceneSettings(Checked, group="scene."):
     peak_displacement: Annotated[Range, 0, 10] = (0.01, 0.06)
     """Keep only draws whose largest displacement of the contact vertex lies in this range [scene units]."""
     action: Literal["press", "grip", "slide", "hover", "pass"] = "press"
-    """What the tool does: press with a force; hold tissue from its first frame in contact to the clip's last and move
-    it across the line of sight, as far as peak_displacement states (force and regime have no effect then); in a filled
-    view also press while its tip slides over the tissue, stop in front of the tissue as if to press, or pass in front
-    of it, both without contact."""
+    """Action of the tool. press: press with a force. grip: hold tissue to the clip's last frame and move it across the
+    line of sight, by peak_displacement (force and regime have no effect). In a filled view also slide: press while the
+    tip slides over the tissue; hover: stop in front of the tissue; pass: pass in front of it, both without contact."""
     travel: Annotated[Range, 0, 200] = (6.0, 20.0)
     """Distance that the tip of a tool slides or passes, drawn uniformly [grid px]."""
     hover_height: Annotated[Range, 0.002, 0.1] = (0.008, 0.05)
@@ -85,7 +84,7 @@ class SceneSettings(Checked, group="scene."):
     press_seconds: Annotated[Range, 1e-6, 1e4] = (0.25, 0.5)
     """Time in contact [s], rounded to whole frames."""
     onset_fraction: Annotated[Range, 0, 1] = (0.15, 0.25)
-    """The first frame in contact, as a share of the clip's frames; a tool that grips passes over the tissue before, and
+    """First frame in contact, as a share of the clip's frames. A tool that grips passes over the tissue before, and
     never touches it at 1."""
     onset_delay: Annotated[Range, 0, 1] = (0.0, 0.0)
     """Share of a frame interval by which the force starts after the time stamp of the first frame in contact; drawn
@@ -109,8 +108,8 @@ class SceneSettings(Checked, group="scene."):
     depth_noise_correlation: Annotated[float, 0, 100] = 0.0
     """Standard deviation of the blur of the depth noise [px], which keeps the noise's size; 0 is white noise."""
     depth_bias: Annotated[float, 0, 0.5] = 0.0
-    """Standard deviation of log of a smooth factor on the depth that stays through the clip: the systematic error of a
-    network that estimates depth from one picture."""
+    """Standard deviation of log of a smooth factor on the depth that stays through the clip, as the error of monocular
+    depth networks does."""
     depth_bits: Literal[8, 16] = 16
     """Bits of the stored depth; 8 rounds to 1/255 scene units."""
     scale_flicker: Annotated[float, 0, 0.5] = 0.0
@@ -134,8 +133,8 @@ class SceneSettings(Checked, group="scene."):
     tool_in_view: bool = True
     """Draw the tool; otherwise what presses or grips is invisible, such as a probe from behind or a jet of air."""
     turning_deg: Annotated[float, 0, 10] = 0.0
-    """How far the camera turns to and fro about its lens within a second or two [degrees]; true
-    places are those of the first frame's camera."""
+    """Angle by which the camera turns to and fro about its lens within a second or two [degrees]; true places are those
+    of the first frame's camera."""
     video_quality: Annotated[int, 0, 51] = 18
     """Constant rate factor of the video file (H.264): 18 hardly differs from the pictures, 23 usual, 28 poor."""
 
@@ -151,17 +150,13 @@ class SceneSettings(Checked, group="scene."):
             raise ValueError(f"scene.rise {self.rise[1]:g} and fall {self.fall[1]:g} add up to more than 1; give less.")
         rates = {"stiffness": math.sqrt(self.stiffness[1] / self.mass), "damping": self.damping[1] / self.mass}
         for name, fastest in rates.items():
-            if fastest > LARGEST_RATE:
+            if fastest > 1e4:  # thirty times the defaults' rate; it decides how short the integrator's steps are
                 raise ValueError(
                     f"scene.{name} up to {getattr(self, name)[1]:g} with scene.mass {self.mass:g} moves at "
-                    f"{fastest:.3g}/s; give less, or more mass, for {LARGEST_RATE:g}/s at most."
+                    f"{fastest:.3g}/s; give less, or more mass, for 10000/s at most."
                 )
 
     @property
     def cell(self) -> tuple[float, float]:
         """Size of a grid cell along u and v [px]."""
         return self.width / self.grid_width, self.height / self.grid_height
-
-
-LARGEST_RATE = 1e4
-"""Largest rate of a sheet, thirty times that of the defaults; it decides how short the integrator's steps are [1/s]."""

@@ -17,10 +17,7 @@ from palpate.data.source.frames import Frame, FrameSource
 from palpate.data.synthetic.clip import SyntheticClip
 
 PREPARE = PrepareSettings(DepthSettings("stored"), GeometrySettings(smoothing=4, rigid_motion="subtract"))
-"""How clips are prepared that serve the benchmark, and what the contact posterior is trained for."""
-_LABELS = np.full(256, OTHER, np.uint8)
-"""Label of every grey class code."""
-_LABELS[CLASSES["grasper"].grey], _LABELS[CLASSES["gallbladder"].grey] = TOOL, TISSUE
+"""Preparation of the benchmarks' clips, for which the contact posterior is trained."""
 
 
 class SyntheticSource(FrameSource):
@@ -59,11 +56,13 @@ class _Masks:
     identity = "synthetic"
 
     def __init__(self, clip: SyntheticClip) -> None:
-        self._labels = clip.labels
+        by_code = np.full(256, OTHER, np.uint8)
+        by_code[CLASSES["grasper"].grey], by_code[CLASSES["gallbladder"].grey] = TOOL, TISSUE
+        self._labels = by_code[clip.labels]
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map of a frame."""
-        return _LABELS[self._labels[frame.index]]
+        return self._labels[frame.index]
 
     def reset(self) -> None:
         """Nothing is remembered from frame to frame."""

@@ -1,8 +1,8 @@
 """View of the deformed tissue sheet: exact depth and, for every pixel, the rest position of the visible tissue point.
 
-Each grid vertex carries the patch of tissue up to half-way to its neighbours, which sinks as much as the vertex does;
-steep ramps join the patches. So the depth of a grid pixel is its own vertex's, also when a full-size map is resized to
-the grid (a dent is often only two or three vertices wide). The patches are drawn with a z-buffer.
+Each grid vertex carries the patch of tissue up to half-way to its neighbours, which sinks as much as it does. Steep
+ramps join the patches. So the depth of a grid pixel is its own vertex's, also in a full-size map resized to the grid: a
+dent is often only two or three vertices wide. The patches are drawn with a z-buffer.
 """
 
 import math
@@ -15,8 +15,6 @@ from palpate.data.synthetic.truth import TrueMotion
 
 HALF_PATCH = 0.49
 """Half-width of a vertex's patch as a share of a grid cell."""
-EDGE_TOLERANCE = 1e-6
-"""Tolerance of barycentric coordinates: pixels on a common edge belong to both triangles."""
 
 
 @dataclass(frozen=True)
@@ -154,8 +152,9 @@ def _covered(u: np.ndarray, v: np.ndarray, shape: tuple[int, int]) -> tuple[np.n
     Returns:
         Flat pixel [N], barycentric weights [3, N] and triangle [N] of every pixel centre inside a triangle.
     """
-    left, right = np.ceil(u.min(axis=0) - EDGE_TOLERANCE), np.floor(u.max(axis=0) + EDGE_TOLERANCE)
-    top, bottom = np.ceil(v.min(axis=0) - EDGE_TOLERANCE), np.floor(v.max(axis=0) + EDGE_TOLERANCE)
+    tolerance = 1e-6  # so that pixels on a common edge belong to both triangles
+    left, right = np.ceil(u.min(axis=0) - tolerance), np.floor(u.max(axis=0) + tolerance)
+    top, bottom = np.ceil(v.min(axis=0) - tolerance), np.floor(v.max(axis=0) + tolerance)
     left, right = np.maximum(left, 0), np.minimum(right, shape[1] - 1)
     top, bottom = np.maximum(top, 0), np.minimum(bottom, shape[0] - 1)
     across = np.maximum(right - left + 1, 0).astype(np.int64)
@@ -168,6 +167,6 @@ def _covered(u: np.ndarray, v: np.ndarray, shape: tuple[int, int]) -> tuple[np.n
     areas = np.stack([du[i] * dv[j] - du[j] * dv[i] for i, j in ((1, 2), (2, 0), (0, 1))])
     total = areas.sum(axis=0)
     weights = areas / np.where(total == 0, np.inf, total)
-    inside = (weights >= -EDGE_TOLERANCE).all(axis=0) & (total != 0)
+    inside = (weights >= -tolerance).all(axis=0) & (total != 0)
     pixel = (row[inside] * shape[1] + column[inside]).astype(np.int64)
     return pixel, weights[:, inside], triangle[inside]

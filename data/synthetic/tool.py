@@ -1,7 +1,7 @@
 """The grasper of a synthetic scene: a shaft with two jaws that enters from the picture's border.
 
-It is drawn in coordinates along and across its axis. Its tip ends just before the contact vertex, so that the vertex
-stays in view, and away from the tip it keeps clear of the tissue, so that the tip is the nearest point.
+It is drawn in coordinates along and across its axis. Its tip ends just before the contact vertex, which stays in view.
+Away from the tip it keeps clear of the tissue, so that the tip is the nearest point.
 """
 
 from __future__ import annotations
@@ -23,17 +23,8 @@ TIP_START = 0.5
 """Distance along the axis from the contact vertex to where the tool begins [grid px]."""
 TIP_GAP = 0.3
 """Gap between the tip and the contact vertex along the line of sight [cells of the contact's depth]."""
-KEEL_LENGTH, KEEL_WIDTH = 1.8, 0.8
-"""Part of the tip that follows the contact vertex into its dent [grid px]."""
-FREE_CLEARANCE = 0.03
-"""Clearance of the tool from the tissue when it is not in contact [scene units]."""
-RETREAT_SPEED, FARTHEST_RETREAT = 5.0, 60.0
-"""Speed of the tool away from contact [grid px a frame], and the distance after which it stops [grid px]."""
 HALF_WIDTHS = ((0.0, 1.6), (2.0, 1.6), (7.0, 3.6), (16.0, 4.6), (19.0, 5.4), (21.0, 5.4))
 """Half-width [grid px] against the distance along the axis: tip, jaws, joint; the shaft follows."""
-JAW_SLIT = (4.0, 15.0, 0.5)
-"""Gap between the two jaws: where it begins and ends along the axis, and its half-width [grid px]."""
-
 
 Tool = tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]
 """Rows and columns of a tool's P pixels, z [P] [scene units], and light before its falloff with distance [P, 3]."""
@@ -61,7 +52,7 @@ def tip_offset(scene: Scene, motion: TrueMotion, frame: int) -> np.ndarray:
     if motion.in_contact[frame]:
         return np.zeros(2)
     away = motion.onset_frame - 1 - frame if frame < motion.onset_frame else frame - motion.release_frame
-    return (scene.exit_offset + min(RETREAT_SPEED * away, FARTHEST_RETREAT)) * scene.entry
+    return (scene.exit_offset + min(5.0 * away, 60.0)) * scene.entry
 
 
 def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView, rays: np.ndarray) -> Tool:
@@ -74,9 +65,10 @@ def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView, ray
         return _draw_passage(scene, motion.passage, frame, view, rays)
     camera, settings = scene.camera, scene.settings
     offset, touching = tip_offset(scene, motion, frame), bool(motion.in_contact[frame])
+    clearance = 0.03  # of a tool that doesn't touch the tissue [scene units]
     vertex = scene.mesh.vertices[scene.vertex] + motion.contact[frame]
     contact = project(vertex, camera)
-    tip_depth = vertex[2] if touching else vertex[2] - FREE_CLEARANCE
+    tip_depth = vertex[2] if touching else vertex[2] - clearance
     columns = (np.arange(camera.width) - contact[0]) / settings.cell[0] - offset[0]
     rows = (np.arange(camera.height) - contact[1]) / settings.cell[1] - offset[1]
     along = columns * scene.entry[0] + rows[:, None] * scene.entry[1]
@@ -91,12 +83,13 @@ def draw_tool(scene: Scene, motion: TrueMotion, frame: int, view: SheetView, ray
     section = across / half_width
     bulge = np.sqrt(1 - np.square(section))
     depth = axis_depth - half_width * bulge * axis_depth / scene.grid_camera.fx
-    # The tool rises from the tissue along and across its axis.
-    rise = 2.0 * (np.maximum(along - KEEL_LENGTH, 0) + np.abs(across))
-    gap = np.minimum((TIP_GAP + rise) * scene.spacing, 0.035) if touching else FREE_CLEARANCE
+    # The tool rises from the tissue along and across its axis, behind a keel that follows the vertex into its dent.
+    keel_length, keel_width = 1.8, 0.8
+    rise = 2.0 * (np.maximum(along - keel_length, 0) + np.abs(across))
+    gap = np.minimum((TIP_GAP + rise) * scene.spacing, 0.035) if touching else clearance
     depth = np.minimum(depth, view.depth[row, column] - gap)
     if touching:
-        keel = (along <= KEEL_LENGTH) & (np.abs(across) <= KEEL_WIDTH)
+        keel = (along <= keel_length) & (np.abs(across) <= keel_width)
         depth[keel] = tip_depth - (TIP_GAP + 0.3 * np.abs(across[keel])) * scene.spacing
     return (row, column), depth.astype(np.float32), _light(along, across, section, bulge)
 
@@ -128,9 +121,8 @@ def _light(along: np.ndarray, across: np.ndarray, section: np.ndarray, bulge: np
     grey = np.where(jaws, 0.42, 0.13) * (0.25 + 0.75 * bulge)
     streak = np.exp(-0.5 * np.square((section - 0.25) / 0.12)) + 0.5 * np.exp(-0.5 * np.square((section + 0.45) / 0.1))
     grey += np.where(jaws, 0.5, 0.28) * streak
-    start, stop, width = JAW_SLIT
-    grey[(along > start) & (along < stop) & (np.abs(across) < width)] = 0.02
+    grey[(along > 4) & (along < 15) & (np.abs(across) < 0.5)] = 0.02
     # The jaws have teeth, and a ring marks where the shaft begins.
-    grey *= np.where((along > 3) & (along < stop), 1 - 0.15 * (np.sin(2 * math.pi * along / 1.3) > 0), 1.0)
+    grey *= np.where((along > 3) & (along < 15), 1 - 0.15 * (np.sin(2 * math.pi * along / 1.3) > 0), 1.0)
     grey[np.abs(along - joint) < 0.6] *= 0.35
     return grey[:, None] * np.array([0.98, 1.0, 1.03])

@@ -1,8 +1,8 @@
 """True motion of a synthetic scene: θ, the force in time, and the sheet's motion by an adaptive integrator.
 
-The model is that of Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n). The integrator is another one, DOP853, an
-eighth-order Runge-Kutta method with step control, so that recovering θ with the fitted scheme is a test of that scheme
-(see docs/reports/identifiability.md).
+The model is that of Bini 2026, section 3.3 (m ẍ + k_d ẋ + springs = F·n). The integrator is DOP853, an eighth-order
+Runge-Kutta method with step control: another than the fitted scheme, which recovering θ so tests
+(docs/reports/identifiability.md).
 """
 
 from __future__ import annotations
@@ -23,12 +23,6 @@ from palpate.physics.mechanics import damping_ratio
 
 SAMPLE_STEP = 0.005
 """Time between samples of the stored response: Δt of Bini 2026 [s]."""
-TIME_TOLERANCE = 1e-9
-"""Times closer than this are equal [s]."""
-STEP = PressShape()
-"""The simplest press: on a vertex, at once."""
-LEAST_SLIDING = 3.0
-"""Least radius of a patch that slides [grid px]; its force is a Gaussian of half the radius, which moves smoothly."""
 
 Regime = Literal["under-damped", "critical", "over-damped"]
 REGIMES: tuple[Regime, ...] = get_args(Regime)
@@ -37,7 +31,7 @@ REGIMES: tuple[Regime, ...] = get_args(Regime)
 
 @dataclass(frozen=True, kw_only=True)
 class TrueMotion:
-    """True motion of a clip's tissue, whatever its model."""
+    """True motion of a clip's tissue under any model."""
 
     onset_frame: int
     """First frame in contact, before which the tissue is at rest; the number of frames where there is none."""
@@ -60,7 +54,7 @@ class TrueMotion:
 
     @property
     def in_contact(self) -> np.ndarray:
-        """Whether tool and tissue touch in each frame, shape [F], bool."""
+        """Mask of the frames in which tool and tissue touch, shape [F], bool."""
         frame = np.arange(len(self.times))
         return (frame >= self.onset_frame) & (frame < self.release_frame)
 
@@ -135,7 +129,7 @@ def draw_motion(scene: Scene, generator: np.random.Generator) -> PressedMotion:
     travel, peaks = STILL, []
     if settings.action == "slide":
         travel = draw_way(scene, "travel", 1.0, generator)[::-1]
-        shape = replace(shape, radius=max(shape.radius, LEAST_SLIDING))
+        shape = replace(shape, radius=max(shape.radius, 3.0))  # the force is a Gaussian of half the radius
     times = np.linspace(0, loaded, 33)[1:]  # after release the tissue only swings back
     for _ in range(60):
         theta = draw_theta(settings, generator)
@@ -157,7 +151,7 @@ def simulate_motion(
     variation: np.ndarray | None = None,
     delay: float = 0.0,
     release_delay: float = 0.0,
-    shape: PressShape = STEP,
+    shape: PressShape = PressShape(),  # noqa: B008 (frozen)
     travel: np.ndarray = STILL,
 ) -> PressedMotion:
     """Integrate the sheet from rest through press and release.
@@ -167,9 +161,8 @@ def simulate_motion(
         onset: first frame in contact.
         release: first frame after contact.
         variation: relative stiffness over the grid, shape [h, w]; None is 1 everywhere.
-        delay, release_delay: from those frames' time stamps to the start and the end of the force [s], at most a frame
-            interval each.
-        shape: of the press.
+        delay, release_delay: from those frames' time stamps to the force's start and end, at most a frame interval [s].
+        shape: shape of the press.
         travel: rows and columns by which the patch moves under load, shape [2] [grid px].
 
     Raises:
@@ -180,12 +173,13 @@ def simulate_motion(
     load = (release - onset) / settings.fps + release_delay - delay
     if load <= 0:
         raise SceneError("The force ends before it starts; give a longer scene.press_seconds.")
-    after = times[onset:] - times[onset] - delay  # since the start of the force
+    since = times - times[onset] - delay
+    after, loaded = since[onset:], (since > -1e-9) & (since < load - 1e-9)
     fine = SAMPLE_STEP * np.arange(1, math.floor(after[-1] / SAMPLE_STEP + 1e-9) + 1)
     window, frames, response = integrate(scene, Pressing(theta, load, shape, variation, travel), after, fine)
     field = np.zeros((settings.frames, len(window.vertices), 3), np.float32)
     field[onset:] = frames
-    way = np.clip((times - times[onset] - delay) / load, 0, 1)[:, None, None] * travel
+    way = np.clip(since / load, 0, 1)[:, None, None] * travel
     apart = np.linalg.norm(window.mesh.pixels - window.mesh.pixels[window.contact] - way, axis=2)
     touched, contact = apart.argmin(axis=1), np.zeros((settings.frames, 3))
     contact[onset:] = frames[np.arange(len(frames)), touched[onset:]]
@@ -199,7 +193,7 @@ def simulate_motion(
         touched=window.vertices[touched],
         contact=contact,
         response=response,
-        force=theta[2] * force_after(shape, times - times[onset] - delay, load),
+        force=theta[2] * np.where(loaded, force_factor(shape, since, load), 0.0),
         shape=shape,
         patch_radius=shape.radius,
         moving=window.vertices,
@@ -225,9 +219,3 @@ def draw_shape(settings: SceneSettings, load: float, generator: np.random.Genera
     lean = math.tan(math.radians(tilt))
     course = {"step": (0.0, 0.0), "ramp": (load, 0.0), "hold": (rise * load, fall * load)}[settings.profile]
     return PressShape(radius, (0.0, 0.0), *course, (lean * math.cos(angle), lean * math.sin(angle)))
-
-
-def force_after(shape: PressShape, time: np.ndarray, load: float) -> np.ndarray:
-    """Return the force factor just after any times, 0 outside the load."""
-    loaded = (time > -TIME_TOLERANCE) & (time < load - TIME_TOLERANCE)
-    return np.where(loaded, force_factor(shape, time, load), 0.0)

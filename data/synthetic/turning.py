@@ -10,25 +10,20 @@ from scipy.spatial.transform import Rotation
 from palpate.data.source.camera import back_project
 from palpate.data.synthetic.scene import Scene
 
-PERIODS = (0.8, 2.5)
-"""Shortest and longest time in which the camera turns to and fro [s]."""
-
 
 class CameraTurning:
-    """Rotations of the camera over a clip, drawn for every axis; what comes into the picture mirrors what is at its
-    edge.
-    """
+    """Rotations of the camera over a clip, drawn for every axis; new parts of the picture mirror its edge."""
 
     def __init__(self, scene: Scene, generator: np.random.Generator) -> None:
         settings, camera = scene.settings, scene.camera
         self._camera, self._fps = camera, settings.fps
         self._size = np.radians(settings.turning_deg) * generator.uniform(0.3, 1, 3)
-        self._rate = 2 * np.pi / generator.uniform(*PERIODS, 3)
+        self._rate = 2 * np.pi / generator.uniform(0.8, 2.5, 3)  # by periods [s]
         self._phase = generator.uniform(0, 2 * np.pi, 3)
         self._rays = back_project(np.ones((camera.height, camera.width)), camera)
 
     def rotation(self, index: int) -> np.ndarray:
-        """From the camera's axes before any turning to those in a frame, shape [3, 3]."""
+        """Rotation from the camera's axes before any turning to those in a frame, shape [3, 3]."""
         angles = self._size * (np.sin(self._rate * index / self._fps + self._phase) - np.sin(self._phase))
         return Rotation.from_rotvec(angles).as_matrix()
 

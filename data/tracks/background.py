@@ -8,15 +8,13 @@ import numpy as np
 from palpate.common.robust import affine_motion
 
 FAR = 60.0
-"""Points farther from the tool than this percentile are the background [%]."""
+"""Percentile of the distance from the tool beyond which points are background [%]."""
 MIN_FAR = 6
-"""Fewer such points determine no affine motion."""
+"""Smallest number of such points that determine an affine motion."""
 ITERATIONS = 6
-"""Rounds of robust fits."""
-OUTLIER = 3.0
-"""Points that move otherwise by more standard deviations are no background."""
+"""Number of rounds of robust fits."""
 LEAST_NOISE = 0.1
-"""Least noise of following, by axis [px]."""
+"""Least noise of tracks, by axis [px]."""
 MEDIAN_LENGTH = 1.1774
 """Median length of a plane normal vector of unit standard deviation by axis."""
 
@@ -27,9 +25,9 @@ class Background(NamedTuple):
     affine: np.ndarray
     """Displacement at (column, row, 1) [px], shape [3, 2]."""
     noise: float
-    """Standard deviation by axis of the displacement of points about it, each for itself [px]."""
+    """Standard deviation by axis of single points' displacement about it [px]."""
     error: float
-    """Standard deviation by axis of what the motion leaves and neighbouring points share [px]."""
+    """Standard deviation by axis of the residual that neighbouring points share [px]."""
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Displacement at places [N, 2] (column, row) [px], shape [N, 2]."""
@@ -40,19 +38,20 @@ def background_motion(places: np.ndarray, step: np.ndarray) -> Background | None
     """Affine motion of most of some points, by least squares without those far off; None where they are too few.
 
     Args:
-        places: of the points in the first picture, shape [N, 2] (column, row) [px].
+        places: places of the points in the first picture, shape [N, 2] (column, row) [px].
         step: their displacements, shape [N, 2] [px].
     """
     if len(places) < 30:
         return None
     terms, kept = _terms(places), np.ones(len(places), bool)
+    outlier = 3.0  # standard deviations by which points that are no background move otherwise
     for _ in range(ITERATIONS):
         affine = np.linalg.lstsq(terms[kept], step[kept], rcond=None)[0]
         left = step - terms @ affine
         length = np.linalg.norm(left, axis=1)
-        kept = length < OUTLIER * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
+        kept = length < outlier * max(np.median(length[kept]) / MEDIAN_LENGTH, LEAST_NOISE)
     # Moving tissue that is no background shall not count for all of it.
-    scale = OUTLIER * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
+    scale = outlier * max(np.median(length) / MEDIAN_LENGTH, LEAST_NOISE)
     left = left.clip(-scale, scale)
     # Points of a square share what the background's motion leaves.
     _, block, count = np.unique(places // 64, axis=0, return_inverse=True, return_counts=True)
@@ -74,7 +73,7 @@ def without_background(points: np.ndarray, moved: np.ndarray, distance: np.ndarr
 
     Args:
         points: places at rest, shape [N, 2] [px].
-        moved: displacements, shape [N, 2] [px]; not a number where a point is lost.
+        moved: displacements, shape [N, 2] [px]; NaN where a point is lost.
         distance: from the tool at rest, shape [N] [px].
     """
     known = np.asarray(np.isfinite(moved).all(axis=1))

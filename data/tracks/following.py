@@ -1,8 +1,8 @@
-"""Follows a grid of tissue points through a clip, in its pictures' plane.
+"""Tracks of a grid of tissue points through a clip, in its pictures' plane.
 
-Every picture is linked to the one before (`data.tracks.linking`), and every few pictures to the first one: errors don't
-add up while its tissue is in view, and a point that an instrument hid is found again where the motion of its
-neighbours, the way back, and the first picture's pattern all say so.
+Every picture is linked to the one before (`data.tracks.linking`), and every few pictures to the first one, so that
+errors don't add up while its tissue is in view. A point that an instrument hid is found again if the motion of its
+neighbours, the way back, and the first picture's pattern agree.
 """
 
 from __future__ import annotations
@@ -19,29 +19,19 @@ from palpate.data.tracks.linking import Linker, flat, patterns, resemblance
 SPACING = 8
 """Spacing of the grid of points [px]."""
 TOUCHED = 3
-"""A point that comes nearer to the tool is lost: it may be the tool's [px]."""
+"""Least distance of a point from the tool; nearer ones may be the tool's and are lost [px]."""
 EDGED = 12
-"""One that comes nearer to the tool is followed by a window that holds the tool's edge, which drags it along or holds
-it back [px]."""
-BORDER = 3
-"""And one that comes nearer to the picture's edge [px]."""
+"""Distance from the tool within which a point's window holds the tool's edge, which drags it along [px]."""
 CHECK = 2.5
-"""Largest distance to where flow and backward flow return a point [px]."""
+"""Largest distance between a point and its return by flow and backward flow [px]."""
 RELINKED = 3
-"""Every so many pictures are linked to the first one [frames]."""
-MAX_SIDE = 854
-"""Wider or higher pictures are shrunk to this before their points are followed, which would take too long [px]."""
-FAR = 8192.0
-"""Distance from the tool where there is none [px]."""
+"""Interval at which pictures are linked to the first one [frames]."""
 RIM = 15
 """Width of the square by which the picture's field is shrunk [px]."""
-REACHES = ((2, 1.0, 1), (8, 1e-2, 4), (32, 1e-4, 16))
-"""Standard deviations [points] and weights of the kernels by which followed neighbours give the motion of a lost point,
-and how much coarser their grids may be."""
 
 
 def lit_field(picture: np.ndarray) -> np.ndarray:
-    """Where an RGB picture [H, W, 3] shows anything, away from its edge, bool [H, W]."""
+    """Lit part of an RGB picture [H, W, 3], away from its edge, bool [H, W]."""
     red, green, blue = cv2.split(picture)
     brightest = cv2.max(cv2.max(red, green), blue)
     # Where no channel is brighter there is no picture, outside an endoscope's round field.
@@ -49,20 +39,20 @@ def lit_field(picture: np.ndarray) -> np.ndarray:
 
 
 def tool_distance(tool: np.ndarray) -> np.ndarray:
-    """Distance of every pixel from the tool's mask [H, W] [px], float32; FAR where there is no tool."""
+    """Distance of every pixel from the tool's mask [H, W] [px], float32; 8192 if there is no tool."""
     if not tool.any():
-        return np.full(tool.shape, FAR, np.float32)
+        return np.full(tool.shape, 8192.0, np.float32)
     return cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 5)
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A picture in which points are followed, at most MAX_SIDE wide and high; all that follow share it."""
+    """A picture in which points are tracked, at most 854 px wide and high to save time; all trackers share it."""
 
     picture: np.ndarray
     """RGB, uint8 [H, W, 3]."""
     labels: np.ndarray
-    """Its label map, uint8 [H, W]."""
+    """Label map, uint8 [H, W]."""
     size: tuple[int, int]
     """Width and height of the picture before it was shrunk [px]."""
 
@@ -71,7 +61,7 @@ class Shown:
         """A picture of any size, uint8 [H, W, 3] RGB, with its label map [H, W]."""
         picture, labels = view
         height, width = labels.shape
-        share = MAX_SIDE / max(height, width)
+        share = 854 / max(height, width)
         if share < 1:
             small = max(round(width * share), 1), max(round(height * share), 1)
             picture = cv2.resize(picture, small, interpolation=cv2.INTER_AREA)
@@ -85,7 +75,7 @@ class Shown:
 
     @cached_property
     def lit(self) -> np.ndarray:
-        """Where the picture shows anything, bool [H, W]."""
+        """Mask of the lit part, as in `lit_field`, bool [H, W]."""
         return lit_field(self.picture)
 
     @cached_property
@@ -105,18 +95,17 @@ class Shown:
 
     @cached_property
     def tissue(self) -> np.ndarray:
-        """Where a followed point may be, bool [H, W]: lit, away from the tool and from the picture's edge."""
+        """Mask of places for points, bool [H, W]: lit, away from the tool and from the picture's edge."""
         offsets = np.arange(-TOUCHED, TOUCHED + 1)
         disc = (np.hypot(*np.meshgrid(offsets, offsets)) <= TOUCHED).astype(np.uint8)
         found = self.lit & (cv2.dilate(self.tool.astype(np.uint8), disc) == 0)
         inner = np.zeros_like(found)
-        inside = slice(BORDER + 1, -BORDER - 1)
-        inner[inside, inside] = found[inside, inside]
+        inner[4:-4, 4:-4] = found[4:-4, 4:-4]
         return inner
 
     @cached_property
     def edge(self) -> np.ndarray:
-        """Where a window holds the tool's edge, bool [H, W]."""
+        """Mask of places whose window holds the tool's edge, bool [H, W]."""
         # A square costs a tenth of a disc.
         return cv2.dilate(self.tool.astype(np.uint8), np.ones((2 * EDGED + 1, 2 * EDGED + 1), np.uint8)) > 0
 
@@ -129,17 +118,17 @@ def lattice(shape: tuple[int, ...], spacing: int) -> np.ndarray:
 
 
 def spread(usable: np.ndarray, spacing: int) -> np.ndarray:
-    """Places of such a grid that are usable, by a mask [H, W], shape [N, 2] (column, row)."""
+    """Places of a `lattice` that are usable, by a mask [H, W], shape [N, 2] (column, row)."""
     places = lattice(usable.shape, spacing).reshape(-1, 2)
     return places[values_at(usable, places)]
 
 
 class PointFollower:
-    """Points on tissue from the first picture on; all in pixels of a picture at most MAX_SIDE wide and high.
+    """Points on tissue from the first picture on, in pixels of `Shown` pictures.
 
     Args:
         shown: the first picture.
-        spacing: of the points [px].
+        spacing: distance of the points [px].
     """
 
     def __init__(self, shown: Shown, spacing: int = SPACING) -> None:
@@ -152,20 +141,20 @@ class PointFollower:
         self._grid = (away[rows, columns] > 5.0) & shown.lit[rows, columns]
         self.spacing = spacing
         self.points = places[self._grid].astype(np.float32)
-        """Where they are in the first picture, shape [N, 2] (column, row) [px]."""
+        """Places of the points in the first picture, shape [N, 2] (column, row) [px]."""
         self.distance = values_at(away, self.points)
-        """From the tool there, shape [N] [px]."""
+        """Distance of the points from the tool in the first picture, shape [N] [px]."""
         self.place = self.points.copy()
-        """Where they are now, or were followed last, shape [N, 2] [px]."""
+        """Current, or last known, places of the points, shape [N, 2] [px]."""
         self.followed = np.ones(len(self.points), bool)
-        """Which are followed now, shape [N]."""
+        """Mask of points that are tracked now, shape [N]."""
         self._linker, self._count = Linker(self._grid, spacing), 0
         self._first = self._before = self._linker.prepared(gray)
         self._patterns = patterns(gray, self.points)
 
     @property
     def moved(self) -> np.ndarray:
-        """Displacement since the first picture, shape [N, 2] [px]; not a number where a point is lost."""
+        """Displacement since the first picture, shape [N, 2] [px]; NaN where a point is lost."""
         return np.where(self.followed[:, None], self.place - self.points, np.nan).astype(np.float64)
 
     def step(self, shown: Shown) -> None:
@@ -206,7 +195,8 @@ class PointFollower:
         motion[..., 2] = weight
         total = np.zeros_like(motion)
         size = motion.shape[1::-1]
-        for reach, share, coarser in REACHES:
+        # By kernels of these standard deviations [points] and weights, on grids that much coarser.
+        for reach, share, coarser in ((2, 1.0, 1), (8, 1e-2, 4), (32, 1e-4, 16)):
             small = max(size[0] // coarser, 1), max(size[1] // coarser, 1)
             blurred = cv2.GaussianBlur(cv2.resize(motion, small, interpolation=cv2.INTER_AREA), (0, 0), reach / coarser)
             total += share * cv2.resize(blurred, size, interpolation=cv2.INTER_LINEAR)

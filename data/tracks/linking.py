@@ -1,9 +1,9 @@
-"""Where the places of one picture are in another one, checked forwards and backwards (Kalal 2010).
+"""Links from places of one picture to those in another, checked forwards and backwards (Kalal 2010).
 
-A few places are followed each for itself by pyramidal Lucas and Kanade (`followed`; Bouguet 2001). Hundreds on a grid
-are followed together (`Linker`): dense inverse search flow (Kroeger 2016, OpenCV's DIS) of pictures of a quarter of the
-size gives their motion roughly, or what is known already does; a few steps of Lucas and Kanade's method (1981) at the
-places themselves give it exactly, in pictures of the whole size without their local mean, which changes with the light.
+A few places are linked each for itself by pyramidal Lucas and Kanade (`followed`; Bouguet 2001). Hundreds on a grid are
+linked together (`Linker`). Their rough motion is known already, or is found by dense inverse search flow (Kroeger 2016,
+OpenCV's DIS) of pictures of a quarter of the size. A few steps of Lucas and Kanade's method (1981) refine it at the
+places themselves, in whole pictures without their local mean, which changes with the light.
 """
 
 import functools
@@ -12,29 +12,21 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-COARSE, MIN_SIDE = 4, 16
-"""Settings of DIS: how much smaller its pictures are, which it refuses below some width [px]."""
-STRIDE, DESCENTS = 5, 12
-"""Settings of DIS: distance of its patches [px], and steps of each; its finest scale is the small picture's own."""
-LOCAL = 15
-"""Width of the square whose mean is taken off the picture [px]."""
-WINDOW, ALONE = 9, 15
-"""Width of Lucas and Kanade's windows for places whose motion is roughly known, and for those that are followed each
-for itself [px]. A window of 9 px costs less than one of 7."""
+WINDOW = 9
+"""Width of Lucas and Kanade's windows for places whose motion is roughly known [px]; 9 px cost less than 7."""
 MAX_STEP = 3.0
-"""Steps that lead farther by axis are not believed [px]."""
+"""Largest step by axis that is believed [px]."""
 SMOOTH = 1.0
 """Standard deviation of the filter over the motion of neighbouring places [grid spacings]."""
 REACH, STEP = 6, 3
-"""Half width of a pattern around a point, to either side, and between its samples [px]."""
-
+"""Half width of a pattern around a point, and distance of its samples [px]."""
 
 Mask = np.ndarray | None
-"""Some of N places, bool [N]; None = all."""
+"""Mask of some of N places, bool [N]; None = all."""
 
 
 class _Search(NamedTuple):
-    """How Lucas and Kanade's method goes."""
+    """Settings of Lucas and Kanade's method."""
 
     levels: int
     """Levels of the pyramid beyond the picture itself; with three of them motion is found up to some 50 px."""
@@ -43,18 +35,15 @@ class _Search(NamedTuple):
     last_step: float
     """Length of the step after which there is no other [px]."""
     texture: float
-    """Least eigenvalue of a window's gradients; below it the window is too smooth to be followed."""
-
-
-KNOWN_ROUGHLY, UNKNOWN = _Search(0, 4, 0.02, 1e-4), _Search(3, 10, 0.03, 1e-3)
+    """Least eigenvalue of a window's gradients; below it the window is too smooth to be tracked."""
 
 
 class Prepared(NamedTuple):
     """A picture for linking."""
 
     fine: np.ndarray
-    """Without its local mean, float32 [H, W]. It is bent back before it is rounded: of whole numbers a shift by a few
-    hundredths of a pixel leaves nothing where contrast is low."""
+    """Picture without its local mean, float32 [H, W]. It is warped before it is rounded: rounding hides a shift by a
+    few hundredths of a pixel where contrast is low."""
     exact: np.ndarray
     """Picture rounded to whole numbers, uint8 [H, W]."""
     rough: np.ndarray
@@ -64,56 +53,56 @@ class Prepared(NamedTuple):
 
 
 class Links(NamedTuple):
-    """Where N places of one picture are in another one, float32."""
+    """Links of N places of one picture to another one, float32."""
 
     places: np.ndarray
-    """Shape [N, 2] [px]."""
+    """Places in the other picture, shape [N, 2] [px]."""
     returned: np.ndarray
-    """How far from where they began the way back ends, shape [N] [px]. It is not filtered: both ways would share what
-    the filter does, and tell less of how a place errs."""
+    """Distance between a place and the end of the way back, shape [N] [px]. It is not filtered, as both ways would
+    share the filter's error."""
 
 
 class Linker:
     """Links pictures, two of one size at a time.
 
     Args:
-        grid: which places of a grid are linked, bool [rows, columns], N of them; None = the places are on no grid, and
+        grid: mask of a grid's N linked places [rows, columns]; None = the places are on no grid, and
             their motion is not filtered.
-        spacing: of the grid [px]; infinite where windows are small against it.
+        spacing: spacing of the grid [px]; infinite where windows are small against it.
     """
 
     def __init__(self, grid: np.ndarray | None = None, spacing: float = np.inf) -> None:
         self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
-        self._flow.setFinestScale(0)
-        self._flow.setPatchStride(STRIDE)
-        self._flow.setGradientDescentIterations(DESCENTS)
+        self._flow.setFinestScale(0)  # the small picture's own
+        self._flow.setPatchStride(5)
+        self._flow.setGradientDescentIterations(12)
         self._flow.setVariationalRefinementIterations(0)
         self._grid = None if grid is None else (grid.shape, np.flatnonzero(grid))
-        """Its shape, and where in it the places are."""
+        """Shape of the grid, and indices of the places in it."""
         # Windows and filter widen what dies away within tens of pixels by variance/2 · ∇²: of 2·filter - this none.
         self._wider = float(np.sqrt(2 * SMOOTH**2 + WINDOW**2 / 12 / spacing**2))
         self._spacing = spacing
 
     def prepared(self, picture: np.ndarray) -> Prepared:
-        """A picture, uint8 [H, W]."""
+        """Prepare a picture, uint8 [H, W]."""
         fine = _flat(picture)
         height, width = picture.shape
-        size = max(width // COARSE, MIN_SIDE), max(height // COARSE, MIN_SIDE)
+        size = max(width // 4, 16), max(height // 4, 16)  # DIS refuses smaller pictures
         # Shrinking by a whole number costs a tenth, at up to three pixels along two edges.
-        covered = min(size[0] * COARSE, width), min(size[1] * COARSE, height)
+        covered = min(size[0] * 4, width), min(size[1] * 4, height)
         small = cv2.resize(picture[: covered[1], : covered[0]], size, interpolation=cv2.INTER_AREA)
         return Prepared(fine, _rounded(fine), small, (np.array(covered) / size).astype(np.float32))
 
     def link(
         self, one: Prepared, other: Prepared, places: np.ndarray, counted: Mask = None, apart: Mask = None
     ) -> Links:
-        """Where places of one picture are in the other.
+        """Link places of one picture to the other.
 
         Args:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
-            counted: which of them count for their neighbours' motion, bool [N]; None = all.
-            apart: which are away from an instrument's edge, bool [N]; those there count only for one another.
+            counted: mask of places that count for their neighbours' motion [N]; None = all.
+            apart: mask of places away from an instrument's edge [N]; those at it count only for one another.
         """
         if not len(places):
             return _no_links()
@@ -128,13 +117,13 @@ class Linker:
     ) -> Links:
         """Return the motion where the way is known to a few pixels; infinite where that is not confirmed.
 
-        The other picture is bent back by it first: a window that is stretched or turned resembles itself again.
+        The other picture is warped back by it first: a window that is stretched or turned resembles itself again.
 
         Args:
             one, other: the pictures.
             places: shape [N, 2] (column, row) [px].
-            motion: of the whole grid, whose first place is a spacing from both edges, shape [rows, columns, 2] [px].
-            apart: as for `link`.
+            motion: motion of the grid, whose first place is a spacing from both edges, shape [rows, columns, 2] [px].
+            apart: mask as in `link`.
         """
         if not len(places):
             return _no_links()
@@ -156,7 +145,7 @@ class Linker:
         return cv2.warpAffine(motion, grid_per_pixel, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
     def _rough(self, one: Prepared, other: Prepared, places: np.ndarray) -> np.ndarray:
-        """How far places move, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
+        """Motion of places, shape [N, 2] [px], by flow of the small pictures, bilinear between its pixels."""
         flow = self._flow.calc(one.rough, other.rough, None)  # ty: ignore[no-matching-overload]  None is a guess
         # In place of DIS's variational refinement, which costs twice as much.
         flow = cv2.GaussianBlur(flow, (0, 0), 1.0)
@@ -198,7 +187,7 @@ def flat(picture: np.ndarray) -> np.ndarray:
 
 
 def _flat(picture: np.ndarray) -> np.ndarray:
-    mean = cv2.boxFilter(picture, cv2.CV_32F, (LOCAL, LOCAL))
+    mean = cv2.boxFilter(picture, cv2.CV_32F, (15, 15))
     return cv2.addWeighted(picture, 1, mean, -1, 128, dtype=cv2.CV_32F)
 
 
@@ -227,7 +216,7 @@ def _length(vectors: np.ndarray) -> np.ndarray:
 def _lucas_kanade(
     one: np.ndarray, other: np.ndarray, places: np.ndarray, near: np.ndarray, window: int, search: _Search
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where places [N, 2] of one picture are in another one, beginning at `near`, [N, 2]; which are found, bool [N]."""
+    """Places [N, 2] of one picture in another one, searched from `near` [N, 2], and mask of those found, bool [N]."""
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         one,
         other,
@@ -244,17 +233,17 @@ def _lucas_kanade(
 
 
 def _step(one: Prepared, other: Prepared, places: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far places [N, 2] move, near a guess [N, 2] [px], and where that is found, bool [N]; else as guessed."""
+    """Motion of places [N, 2] near a guess [N, 2] [px], and mask of those found, bool [N]; others move as guessed."""
     near = (places + guess).astype(np.float32)
-    there, found = _lucas_kanade(one.exact, other.exact, places, near, WINDOW, KNOWN_ROUGHLY)
+    there, found = _lucas_kanade(one.exact, other.exact, places, near, WINDOW, _Search(0, 4, 0.02, 1e-4))
     believed = found & (np.abs(there - near).max(axis=1) < MAX_STEP)
     return np.where(believed[:, None], there, near) - places, believed
 
 
 def followed(
-    one: np.ndarray, other: np.ndarray, places: np.ndarray, window: int = ALONE, near: np.ndarray | None = None
+    one: np.ndarray, other: np.ndarray, places: np.ndarray, window: int = 15, near: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far places of one picture move to another one, each for itself (pyramidal Lucas and Kanade, Bouguet 2001).
+    """Motion of places of one picture to another one, each for itself (pyramidal Lucas and Kanade, Bouguet 2001).
 
     Args:
         one, other: the pictures, uint8 [H, W].
@@ -263,15 +252,14 @@ def followed(
         near: about where they are in the other picture, shape [N, 2] [px]; None = where they were.
 
     Returns:
-        Displacements, shape [N, 2] [px]; and which of them are known, bool [N].
+        Displacements, shape [N, 2] [px], and mask of those known, bool [N].
     """
     if not len(places):
         return np.zeros((0, 2)), np.zeros(0, bool)
-
-    start = places.astype(np.float32)
+    start, search = places.astype(np.float32), _Search(3, 10, 0.03, 1e-3)
     guess = start if near is None else near.astype(np.float32)
-    there, found = _lucas_kanade(one, other, start, guess, window, UNKNOWN)
-    back, returned = _lucas_kanade(other, one, there, there + start - guess, window, UNKNOWN)
+    there, found = _lucas_kanade(one, other, start, guess, window, search)
+    back, returned = _lucas_kanade(other, one, there, there + start - guess, window, search)
     # Largest distance to where following backwards takes such a place [px].
     return (there - start).astype(np.float64), found & returned & (_length(back - start) < 1.0)
 

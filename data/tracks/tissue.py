@@ -1,8 +1,8 @@
-"""Follows tissue points from frame to frame, so that the same piece of tissue is observed and not the tool's motion.
+"""Tracks of tissue points from frame to frame, so that the same tissue is observed and not the tool's motion.
 
 Bini 2026 (section 3.2) compares contact points that are detected anew in each frame; these slide over the tissue with
-the tool. Here a point moves as most of the tissue around it does, which is followed by `data.tracks.linking`. That
-drifts from frame to frame, so the point is also found again by what the tissue around it looked like.
+the tool. Here a point moves as most of the tissue around it, by `data.tracks.linking`. That drifts from frame to frame,
+so the point is also found again by the pattern of the tissue around it.
 """
 
 from __future__ import annotations
@@ -14,49 +14,45 @@ from palpate.data.labels import TISSUE
 from palpate.data.tracks.following import EDGED, Shown, values_at
 from palpate.data.tracks.linking import WINDOW, followed
 
-RADII = (8.0, 16.0, 32.0)
-"""Radii of the neighbourhood of a point, the wider ones where too little of the narrower can be followed [px]. Places
-at the tool's edge count only where nothing else is left."""
-LEAST_PLACES, LEAST_FOLLOWED = 8, 0.2
-"""Fewest places whose median motion is taken, and least share of the tissue's places there: by chance, fewer are."""
 HALF_WIDTH = 32
 """Half side of the patch by which a point is found again [px]."""
 REACH = 8
 """Largest correction along each axis [px]."""
-_OFFSETS = np.mgrid[-8:9, -8:9].reshape(2, -1).T * float(4)
 
 
 class TissueTracker:
     """Moves tissue points of one clip between its pictures; points are (u, v) in pixels of the full pictures."""
 
     def near(self, source: Shown, target: Shown, point: np.ndarray) -> np.ndarray:
-        """Where the tissue around a point [2] of one picture takes it in another one.
+        """Move a point [2] of one picture into another one as the tissue around it moves.
 
         Args:
             source, target: the pictures.
             point: in the first of them.
 
         Returns:
-            Shape [2]; not a number where too little tissue is followed.
+            Shape [2]; NaN where too little tissue is tracked.
         """
         if not np.isfinite(point).all():
             return np.full(2, np.nan)
-        step, away = self._followed(source, target, _small(source, point) + _OFFSETS)
-        distance = np.linalg.norm(_OFFSETS, axis=1)
-        for least, radius in (*((EDGED, radius) for radius in RADII), (0, RADII[-1])):
+        offsets = np.mgrid[-32:33:4, -32:33:4].reshape(2, -1).T.astype(np.float64)
+        step, away = self._followed(source, target, _small(source, point) + offsets)
+        distance = np.linalg.norm(offsets, axis=1)
+        # Wider neighbourhoods are used if too little of the narrower is tracked, the tool's edge only in the end.
+        for least, radius in ((EDGED, 8.0), (EDGED, 16.0), (EDGED, 32.0), (0, 32.0)):
             around = step[(away > least) & (distance <= radius)]
             used = around[np.isfinite(around).all(axis=1)]
-            if len(used) >= max(LEAST_PLACES, LEAST_FOLLOWED * len(around)):
+            if len(used) >= max(8, 0.2 * len(around)):
                 return _within(target.size, point + np.median(used, axis=0) * _scale(source))
         return np.full(2, np.nan)
 
     def each(self, source: Shown, target: Shown, points: np.ndarray) -> np.ndarray:
-        """Where points [P, 2] of one picture are in another one, each for itself; not a number where they are lost."""
+        """Places in another picture of points [P, 2] of one, each for itself; NaN where they are lost."""
         step, _ = self._followed(source, target, _small(source, points))
         return _within(target.size, points + step * _scale(source))
 
     def template(self, shown: Shown, point: np.ndarray) -> TissueTemplate:
-        """What the tissue around a point [2] of a picture looks like."""
+        """Template of the tissue around a point [2] of a picture."""
         return TissueTemplate(shown.gray, _apart(shown), _small(shown, point))
 
     def again(self, template: TissueTemplate, shown: Shown, near: np.ndarray) -> np.ndarray:
@@ -65,7 +61,7 @@ class TissueTracker:
         return near if found is None else (found + 0.5) * _scale(shown) - 0.5
 
     def _followed(self, one: Shown, other: Shown, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements of places [N, 2], not a number where they are lost; how far the tool is [N], -1 off tissue."""
+        """Displacements of places [N, 2], NaN where they are lost; how far the tool is [N], -1 off tissue."""
         step, known = followed(one.flat, other.flat, places, WINDOW)
         usable = np.isfinite(_within(one.gray.shape[::-1], places)[:, 0])
         usable &= values_at(one.labels == TISSUE, np.rint(places))
@@ -75,7 +71,7 @@ class TissueTracker:
 
 
 def _apart(shown: Shown) -> np.ndarray:
-    """Where a picture shows tissue away from the tool's edge, bool [H, W]."""
+    """Mask of tissue away from the tool's edge, bool [H, W]."""
     return (shown.labels == TISSUE) & (shown.away > EDGED)
 
 
@@ -96,7 +92,7 @@ class TissueTemplate:
         """
         Args:
             picture: uint8, shape [H, W].
-            usable: where it shows tissue away from the tool, shape [H, W].
+            usable: mask of tissue away from the tool, shape [H, W].
             point: (u, v) [px].
         """
         self._offset = point - np.rint(point)
@@ -131,7 +127,7 @@ def _correlation(patch: np.ndarray, known: np.ndarray, picture: np.ndarray, usab
 
     Args:
         patch, known: grey values and usable pixels of the patch, shape [2R+1, 2R+1].
-        picture, usable: the same of the picture, shape [S, S].
+        picture, usable: pattern and mask of the picture, shape [S, S].
 
     Returns:
         Shape [S-2R, S-2R]; -1 where too few pixels are usable.
@@ -161,6 +157,6 @@ def _peak(values: np.ndarray) -> float:
 
 
 def _within(size: tuple[int, ...], points: np.ndarray) -> np.ndarray:
-    """Points [..., 2] that lie in a picture of a width and height, others not a number."""
+    """Points [..., 2] that lie in a picture of a width and height, others NaN."""
     inside = ((points >= -0.5) & (points < np.array(size) - 0.5)).all(axis=-1, keepdims=True)
     return np.where(inside, points, np.nan)

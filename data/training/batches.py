@@ -17,9 +17,6 @@ from palpate.physics.depth import DepthLikelihood, DepthSequence, SequenceNoise
 from palpate.physics.msd.batch import Direction, ObservationBatch, PairBatch
 from palpate.physics.patches import REACH, Patches
 
-PARTS = "window", "interaction", "course"
-"""Fields of a sample that it has for both directions of time."""
-
 
 class SampleDataset(Dataset):
     """Samples of prepared clips; `places` names the clip and the frame of each."""
@@ -36,7 +33,7 @@ class SampleDataset(Dataset):
 
 
 def collate(samples: Sequence[Sample]) -> PairBatch:
-    """Join samples of `SampleDataset` into a batch; what was not observed has weight 0."""
+    """Join samples of `SampleDataset` into a batch; unobserved motion has weight 0."""
     known = [sample.known for sample in samples if sample.known is not None]
     shared: dict[str, Any] = {}
     if len(known) == len(samples):
@@ -45,7 +42,8 @@ def collate(samples: Sequence[Sample]) -> PairBatch:
         shared |= {"known_loads": [interaction.load for interaction in known], "dents": list(map(dent_of, known))}
 
     def direction(side: str) -> Direction:
-        windows, interactions, courses = ([getattr(each, f"{name}_{side}") for each in samples] for name in PARTS)
+        names = "window", "interaction", "course"
+        windows, interactions, courses = ([getattr(each, f"{name}_{side}") for each in samples] for name in names)
         observations = [interaction.observation for interaction in interactions]
         return Direction(
             window=torch.from_numpy(np.stack(windows)),
@@ -76,7 +74,7 @@ def dent_of(contact: Interaction) -> DepthLikelihood:
 
 
 def _sequence_noise(contact: Interaction) -> float:
-    """σ of every pixel's error [scene units]; larger where errors are correlated in time, like fewer pixels."""
+    """Standard deviation of every pixel's error [scene units]; larger where errors are correlated in time."""
     sequence, noise = contact.sequence, network_noise(contact)
     correlated = sequence is not None and len(sequence.times) and not sequence.noise.rounded
     return noise * math.sqrt(sequence.noise.correlated_in_time) if correlated else noise

@@ -1,4 +1,4 @@
-"""Batches for the training of the contact posterior: others in each epoch, made while they are used."""
+"""Batches for the training of the contact posterior: new ones in each epoch, made while they are used."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ from palpate.common.ahead import ahead
 
 
 class TrainingError(ValueError):
-    """There is nothing to train on; the message is a sentence."""
+    """Error: there is nothing to train on; the message is a sentence."""
 
 
 @dataclass
 class Batches:
-    """So many batches, each made by its number in a thread of its own while the one before is used."""
+    """Batches, each made by its number in a thread of its own while the one before is used."""
 
     make: Callable[[int], Any]
     count: int
@@ -30,8 +30,8 @@ class Batches:
 class ContactData(LightningDataModule):
     """Simulated contacts in stages, one an epoch (`palpate.models.contact_module`).
 
-    What explains a contact is a fit of the simulator. Estimators fit, and this package doesn't know them, so that a
-    subclass among them gives the batches: `palpate.estimators.network.training.SimulatedContacts`.
+    Batches need fits of the simulator. Estimators fit, and this package doesn't know them, so a subclass among them
+    gives the batches: `palpate.estimators.network.training.SimulatedContacts`.
     """
 
     trainer: Any

@@ -25,18 +25,15 @@ from palpate.data.training.samples import SampleSettings, list_frames, make_inte
 from palpate.data.training.splits import SPLITS, LoadingSettings, Place, split_samples
 from palpate.physics.mechanics import Bounds, require_stable
 
-TRAINED_ON = dict[Literal["depth", "masks"], tuple[str, ...]]
-"""Type of a record of where depth and masks came from, for `fits`."""
-
 
 class ClipDataModule(LightningDataModule):
     """Pairs of consecutive frames in contact, split by video (Bini 2026, section 3.1).
 
     Args:
         root: folder of the data set.
-        layout: YAML file that says how the clips' files are named; none = CholecSeg8k's names.
+        layout: YAML file with the names of the clips' files; none = CholecSeg8k's.
         cache: folder of prepared clips; shared between runs and processes.
-        samples: which frames become samples; train.py takes its geometry from `geometry`, its mechanics from the model.
+        samples: choice of samples; train.py takes its geometry from `geometry`, its mechanics from the model.
         loading: splits and batches.
         bounds: admissible box, checked for stability on the training meshes; train.py takes it from the model.
         preparation: the other fields of PrepareSettings: depth, geometry, masks, classes, bridge_frames.
@@ -70,7 +67,7 @@ class ClipDataModule(LightningDataModule):
         self.left_out: Counter[str] = Counter()
         """Frames that give no sample, by reason."""
         self.trained_on: dict[str, list[str]] | None = None
-        """Where depth and masks of a checkpoint's training clips came from."""
+        """Sources of depth and masks of a checkpoint's training clips."""
 
     @property
     def contact_features(self) -> int:
@@ -120,7 +117,7 @@ class ClipDataModule(LightningDataModule):
         return f"{self.root}: samples {sizes}, from {len(self.clips)} clips. Frames left out: {reasons}."
 
     def train_dataloader(self) -> DataLoader:
-        """Shuffled batches, in an order that depends on seed and epoch only, so that a resumed run gets the same."""
+        """Shuffled batches, in an order that depends on seed and epoch only, also if a run is resumed."""
         return self._loader("train", shuffle=True)
 
     def val_dataloader(self) -> DataLoader:
@@ -132,14 +129,14 @@ class ClipDataModule(LightningDataModule):
         return self._loader("test", shuffle=False)
 
     def interactions(self, split: str, limit: int | None = None) -> list[Interaction]:
-        """Contacts of a split for the simulator, evenly spaced where there are more than `limit`."""
+        """Contacts of a split for the simulator, evenly spaced if there are more than `limit`."""
         places = self.places[split]
         if limit is not None and len(places) > limit:
             places = [places[index] for index in np.linspace(0, len(places) - 1, limit).round().astype(int)]
         return [make_interaction(self.clips[clip], frame, self.samples) for clip, frame in places]
 
     def state_dict(self) -> dict[str, Any]:
-        """Record of the data for a checkpoint: where depth and masks of the clips came from."""
+        """Record of the data for a checkpoint: sources of the clips' depth and masks."""
         names = "depth", "masks"
         return {"trained_on": {name: sorted({clip.sources[name] for clip in self.clips}) for name in names}}
 
@@ -149,7 +146,8 @@ class ClipDataModule(LightningDataModule):
         Raises:
             InputError: the checkpoint holds no such record.
         """
-        if "trained_on" not in state_dict or not fits(state_dict["trained_on"], TRAINED_ON):
+        record = dict[Literal["depth", "masks"], tuple[str, ...]]
+        if "trained_on" not in state_dict or not fits(state_dict["trained_on"], record):
             raise InputError("The checkpoint doesn't say what it was trained on; give one that train.py fit wrote.")
         self.trained_on = state_dict["trained_on"]
 
@@ -219,8 +217,8 @@ class ClipDataModule(LightningDataModule):
         if not shuffle and 0 < len(dataset) < world:
             many = f"{len(dataset)} samples in split {split} for {world} processes"
             raise InputError(f"{self.root} has {many}; lower trainer.devices.")
-        # This sampler keeps Lightning from adding one whose order ignores the seed of the settings. Where processes
-        # would get unequal shares, only training repeats samples: they would count twice.
+        # This sampler keeps Lightning from adding one whose order ignores the seed of the settings. Only training may
+        # repeat samples to give processes equal shares: elsewhere they would count twice.
         kind = DistributedSampler if shuffle else UnrepeatedDistributedSampler
         sampler = kind(dataset, world, rank, shuffle=shuffle, seed=self.loading.seed)
         return DataLoader(

@@ -26,9 +26,9 @@ def prepare_all(
 
     Args:
         found: frame folders or video files, each with the folders that continue it.
-        settings: how to prepare them.
+        settings: settings of the preparation.
         cache_dir: folder of the cache.
-        show: whether to draw a progress bar on standard error.
+        show: True = draw a progress bar on standard error.
 
     Returns:
         The prepared clips, and the reason for each that could not be prepared.
@@ -71,12 +71,12 @@ def list_clips(root: Path | str, layout: ClipLayout) -> list[Path]:
 def join_folders(paths: Iterable[Path], layout: ClipLayout) -> dict[Path, tuple[Path, ...]]:
     """Clips by their first folder, each with the folders that continue it.
 
-    Such folders are of one video, agree in `clip.json`, and their frame numbers are consecutive: CholecSeg8k cuts a
-    video every 80 frames, and contact does not end there.
+    Such folders are of one video, agree in `clip.json`, and have consecutive frame numbers: CholecSeg8k cuts videos
+    every 80 frames, also during contact.
 
     Args:
-        paths: what `list_clips` found.
-        layout: how the clips' files are named.
+        paths: clips that `list_clips` found.
+        layout: names of the clips' files.
     """
     clips: dict[Path, tuple[Path, ...]] = {}
     first, end = Path(), (None, None)
@@ -91,7 +91,7 @@ def join_folders(paths: Iterable[Path], layout: ClipLayout) -> dict[Path, tuple[
 
 
 def _extent(path: Path, layout: ClipLayout) -> tuple[int | None, int | None, dict[str, Any] | None]:
-    """First and last frame number of a folder and its `clip.json` without times; None each where they can't be read."""
+    """First and last frame number of a folder and its `clip.json` without times; None if they can't be read."""
     with contextlib.suppress(OSError, InputError):
         described = {name: value for name, value in read_clip_file(path).items() if name != "times"}
         numbers = [number for number, _ in frame_files(path, layout)]

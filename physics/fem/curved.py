@@ -16,7 +16,7 @@ def curve(solid: Solid, triangles: np.ndarray, fixed: np.ndarray) -> Solid:
     """A body with its outer middles on a surface.
 
     Args:
-        solid: of straight quadratic elements, its outer corners on the surface.
+        solid: body of straight quadratic elements, its outer corners on the surface.
         triangles: corners of the surface's, shape [F, 3, 3]; those without area don't count [m].
         fixed: nodes that stay, as on a floor that cuts the body off, shape [N], bool.
     """

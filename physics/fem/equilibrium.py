@@ -91,7 +91,7 @@ class Equilibrium:
 
     @cached_property
     def reaction(self) -> np.ndarray:
-        """Force that holds what is prescribed, shape [N, 3], zero elsewhere [N]."""
+        """Force that holds the prescribed components, shape [N, 3], zero elsewhere [N]."""
         return np.where(self.held, -self.energy.out_of_balance(self.response, self.displacement)[0], 0.0)
 
     @cached_property
@@ -136,9 +136,9 @@ def find_equilibrium(
 
     Args:
         solid: the body.
-        material: of which it is.
-        held: which components are prescribed, shape [N, 3], bool; enough of them that it can't float away.
-        motion: where those are, from rest, shape [N, 3] [m]; the others' entries don't count; None = at rest.
+        material: material of the body.
+        held: mask of the prescribed components, shape [N, 3]; enough to keep the body in place.
+        motion: their displacement, shape [N, 3] [m], other entries don't count; None = at rest.
         forces: on the nodes, shape [N, 3] [N]; None = none.
         start: displacement to begin at, shape [N, 3] [m]; None = rest.
         near: `Equilibrium.solver` of a state close by with the same components held, which saves time and changes
@@ -186,21 +186,19 @@ def settle(
     held: np.ndarray,
     near: LinearSystem | None = None,
     tolerance: float = 1e-10,
-    most: int = 30,
 ) -> tuple[np.ndarray, int, LinearSystem | None]:
     """Newton's method with a line search, the prescribed components first moved to their goal along with the rest.
 
     Args:
-        energy: to minimise.
-        displacement: to begin at, shape [N, 3].
-        goal: where the prescribed components go, shape [N, 3].
-        held: which are prescribed, shape [N, 3], bool.
-        near: that of a state close by, whose factors help.
+        energy: minimised energy.
+        displacement: at the start, shape [N, 3].
+        goal: displacement of the prescribed components, shape [N, 3].
+        held: mask of the prescribed components, shape [N, 3].
+        near: system of a state close by, whose factors help.
         tolerance: largest force out of balance, over the largest sum of the elements' forces at a node.
-        most: Newton steps.
 
     Returns:
-        displacement, shape [N, 3], how many steps it took, and the last system solved.
+        Displacement, shape [N, 3], number of steps, and the last system solved.
 
     Raises:
         NoEquilibrium: it doesn't converge.
@@ -210,7 +208,7 @@ def settle(
     moving = bool(jump.any())
     balanced = np.inf
     response = energy.response(displacement, tangent=True)
-    for iteration in range(most):
+    for iteration in range(30):
         force, size = energy.out_of_balance(response, displacement)
         if not np.isfinite(size):
             problem = "an element is turned inside out, where the law isn't defined;"
@@ -248,7 +246,7 @@ def settle(
         if length == 1.0 and balanced <= 1e2 * tolerance and relative >= balanced / 2:
             return displacement, iteration + 1, near  # rounding: it comes no closer
         balanced = relative
-    raise NoEquilibrium(f"no equilibrium within {most} Newton steps; give smaller load steps.")
+    raise NoEquilibrium("no equilibrium within 30 Newton steps; give smaller load steps.")
 
 
 def _downhill(right: np.ndarray, solver: LinearSystem, accuracy: float) -> tuple[np.ndarray, float, LinearSystem]:
@@ -258,8 +256,8 @@ def _downhill(right: np.ndarray, solver: LinearSystem, accuracy: float) -> tuple
 
     Args:
         right: forces out of balance, shape [U].
-        solver: of the matrix of the free components.
-        accuracy: as in `LinearSystem.solve`.
+        solver: solver of the matrix of the free components.
+        accuracy: tolerance of `LinearSystem.solve`.
 
     Raises:
         NoEquilibrium: the matrix is singular.

@@ -22,10 +22,6 @@ from palpate.physics.fem.polar import rotations, spins
 
 _IDENTITY = np.eye(9)
 
-_LEVI_CIVITA = np.cross(np.eye(3)[:, None], np.eye(3))
-_COFACTOR_SLOPE = np.einsum("ikm,jln->ijklmn", _LEVI_CIVITA, _LEVI_CIVITA).reshape(81, 9)
-"""∂(cof F)_ij/∂F_kl = ε_ikm ε_jln F_mn."""
-
 
 class Response(NamedTuple):
     """Answer of a law."""
@@ -82,7 +78,10 @@ def _neo_hookean(gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, tangent:
 def _stable_neo_hookean(gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, tangent: bool) -> Response:
     mu, lam = 4 / 3 * mu, lam + 5 / 6 * mu
     flat = gradient.reshape(*gradient.shape[:-2], 9)
-    bending = np.matmul(_COFACTOR_SLOPE, flat[..., None]).reshape(*gradient.shape[:-2], 9, 9)
+    levi_civita = np.cross(np.eye(3)[:, None], np.eye(3))
+    # ∂(cof F)_ij/∂F_kl = ε_ikm ε_jln F_mn.
+    cofactor_slope = np.einsum("ikm,jln->ijklmn", levi_civita, levi_civita).reshape(81, 9)
+    bending = np.matmul(cofactor_slope, flat[..., None]).reshape(*gradient.shape[:-2], 9, 9)
     cofactor = np.matmul(bending, flat[..., None])[..., 0] / 2  # quadratic in F
     growth = np.einsum("...i,...i->...", cofactor, flat) / 3 - 1
     squares = np.square(flat).sum(-1)
@@ -108,8 +107,8 @@ def respond(law: str, gradient: np.ndarray, mu: np.ndarray, lam: np.ndarray, *, 
         law: one of `LAWS`.
         gradient: F, shape [..., 3, 3].
         mu: shear modulus, of a shape that broadcasts to [...] [unit of stress].
-        lam: Lamé's first constant, likewise.
-        tangent: whether it is wanted.
+        lam: Lamé's first constant, of such a shape [unit of stress].
+        tangent: True = with the tangent.
     """
     one = np.ones(gradient.shape[:-2])
     return _LAWS[law](gradient, mu * one, lam * one, tangent)

@@ -3,18 +3,23 @@
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import LinearOperator, SuperLU, aslinearoperator, cg, splu
 
 DIRECT = 10_000
-"""Unknowns up to which the matrix is factorised at once: filling-in grows with their square, iterations don't."""
+"""Largest number of unknowns of a matrix that is factorised at once: fill-in grows with their square."""
+
+
+def factorised(matrix: csc_array) -> SuperLU:
+    """Factors of a symmetric matrix, without pivoting: its order is chosen for a symmetric pattern."""
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 class LinearSystem:
     """A symmetric matrix to be solved with, shape [U, U].
 
     Args:
-        matrix: of the system.
+        matrix: matrix of the system.
         near: a system much like it, as in the Newton step or the frame before: factors that it has, or was given,
             precondition this one.
     """
@@ -34,7 +39,7 @@ class LinearSystem:
 
         Args:
             right: any of them may be zero.
-            tolerance: of the residual's norm, over that of the right-hand side; a factorisation does better.
+            tolerance: largest norm of the residual over that of the right-hand side; a factorisation does better.
 
         Raises:
             RuntimeError: the matrix is singular: nothing holds the body.
@@ -56,8 +61,8 @@ class LinearSystem:
 
     @cached_property
     def factors(self) -> SuperLU:
-        """Factors of the matrix, without pivoting: its order is chosen for a symmetric pattern."""
-        return splu(self.matrix.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        """Factors of the matrix."""
+        return factorised(self.matrix.T)
 
     @cached_property
     def _diagonal(self) -> LinearOperator | None:

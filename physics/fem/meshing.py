@@ -25,16 +25,16 @@ Floor = tuple[int, float] | None
 Longest = Callable[[np.ndarray], np.ndarray]
 """Largest length of edges around places [P, 3], shape [P], positive [m]."""
 GROWTH = 0.5
-"""Growth of edges' length by the distance from what they crowd around."""
+"""Growth of edges' length by the distance from their centre of refinement."""
 
 
 def around(places: np.ndarray, radius: float, edge: float) -> Longest:
     """Edges that crowd where an instrument presses.
 
     Args:
-        places: where, shape [K, 3] [m].
-        radius: within which edges are at most
-        edge: so long, and farther off by GROWTH longer [m].
+        places: centres of the refinement, shape [K, 3] [m].
+        radius: radius within which edges have their smallest length [m].
+        edge: smallest length, which grows by GROWTH farther off [m].
     """
     return lambda there: edge + GROWTH * np.maximum(KDTree(places).query(there)[0] - radius, 0.0)
 
@@ -45,7 +45,7 @@ def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple
     Args:
         nodes: shape [N, 3] [m].
         tetrahedra: corners, shape [E, 4], of positive volume.
-        longest: how long edges may be, given at the elements' middle.
+        longest: largest length of edges by the elements' middle.
 
     Returns:
         nodes, those given first; corners of the tetrahedra, of positive volume.
@@ -63,7 +63,7 @@ def refine(nodes: np.ndarray, tetrahedra: np.ndarray, longest: Longest) -> tuple
         wanted = length[own] > longest(nodes[tetrahedra].mean(axis=1))
         if not wanted.any():
             return nodes, tetrahedra
-        while True:  # whoever stands around an edge to be halved is halved before, if not by it
+        while True:  # tetrahedra around a halved edge are halved before, if not by it
             halved = np.zeros(len(pairs), bool)
             halved[own[wanted]] = True
             around = halved[which].any(axis=1)
@@ -85,7 +85,7 @@ def fill_cells(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and tetrahedra of some cells of a grid.
 
     Args:
-        inside: which cells, shape [I, J, K], bool.
+        inside: mask of cells, shape [I, J, K].
 
     Returns:
         the nodes' grid coordinates, shape [N, 3], int64; corners of the tetrahedra, shape [5·cells, 4].
@@ -103,7 +103,7 @@ def box(lengths: tuple[float, float, float], cells: tuple[int, int, int]) -> tup
     """A block from the origin on.
 
     Args:
-        lengths: of its sides [m].
+        lengths: lengths of the sides [m].
         cells: along them.
 
     Returns:
@@ -140,12 +140,12 @@ def mesh_surface(
         vertices: shape [V, 3] [m].
         triangles: indices of their corners, shape [F, 3]; in any order, with holes or edges of more than two
             triangles. Where closed parts overlap counts as outside.
-        cells: of the grid along the surface's longest side.
-        floor: axis, and the place on it below which the body is cut off, as where it is held: nodes lie on that plane
-            whatever the grid, so that the support doesn't depend on it.
-        longest: what edges are divided to, as `refine` takes it, once all nodes are drawn onto the surface: elements
-            that keep some off it are left out, of which a round body of coarse straight elements is smaller, one of
-            curved elements (`physics.fem.curved`) isn't. None = some may lie off it by a tenth of a cell.
+        cells: number of the grid's cells along the surface's longest side.
+        floor: axis, and the place on it below which the body is cut off, as where it is held. Nodes lie on that plane
+            whatever the grid.
+        longest: largest length of edges, as in `refine`, once all nodes are drawn onto the surface; elements that keep
+            some off it are left out. A round body of coarse straight elements then is smaller, one of curved elements
+            (`physics.fem.curved`) isn't. None = nodes may lie off the surface by a tenth of a cell.
 
     Raises:
         NoBody: shapes that don't fit, no area, nothing enclosed, a floor above all of it.
@@ -201,9 +201,9 @@ def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
 def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Origin [3] and sides [3] of the cells, and their numbers [3], one more on either side of a box than fill it.
 
-    The box's faces are cells' faces, so that a body with flat sides along the axes loses and gains nothing: where a
-    face goes through the cells' middle, it is rounding that says which of them are inside. A box thinner than half a
-    cell lies in the middle of one.
+    The box's faces are cells' faces, so that a body with flat sides along the axes keeps its volume: rounding would
+    decide which cells are inside where a face goes through their middle. A box thinner than half a cell lies in the
+    middle of one.
     """
     span = high - low
     count = np.maximum(np.round(span / spacing), 1)

@@ -43,7 +43,7 @@ class Solid:
         """Deformation gradient F at every quadrature point, shape [E, Q, 3, 3].
 
         Args:
-            displacement: of the nodes from rest, shape [N, 3] [m].
+            displacement: displacement of the nodes from rest, shape [N, 3] [m].
         """
         moved = displacement[self.elements]
         return np.matmul(moved.transpose(0, 2, 1)[:, None], self.gradients) + np.eye(3)
@@ -119,7 +119,7 @@ def make_solid(nodes: np.ndarray, tetrahedra: np.ndarray, *, order: int = 1) -> 
     Args:
         nodes: corners, shape [N, 3] [m].
         tetrahedra: indices of their four corners, shape [E, 4], with det(x₁ - x₀, x₂ - x₀, x₃ - x₀) > 0.
-        order: of the shape functions, 1 or 2; 2 adds nodes in the middle of the edges, after those given.
+        order: order of the shape functions, 1 or 2; 2 adds nodes in the middle of the edges, after those given.
 
     Raises:
         ValueError: another order; indices that don't fit; an element that is inverted or flat.

@@ -27,7 +27,7 @@ def closest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def even_shares(rows: int) -> np.ndarray:
-    """Barycentric coordinates of places that are spread evenly over a triangle in so many rows, shape [S, 3]."""
+    """Barycentric coordinates of places that are spread evenly over a triangle in rows, shape [S, 3]."""
     places = [[i + 1 / 3, j + 1 / 3, rows - i - j - 2 / 3] for i in range(rows) for j in range(rows - i)]
     return np.array(places) / rows
 

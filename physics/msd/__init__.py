@@ -2,7 +2,7 @@
 
 reference     the equations in plain numpy: read this one
 simulation    for numpy: simulate, simulate_sensitivities; one sample through the kernels
-rollouts      for torch: rollout, rollout_sensitivities; batch: what was observed
+rollouts      for torch: rollout, rollout_sensitivities; batch: observations
 likelihoods   the paper's squared error of a batch
 grid_kernel   the compiled loops, on a pixel grid; cone: which part of the mesh matters
 autograd      torch's view of the compiled rollout

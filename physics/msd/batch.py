@@ -17,7 +17,7 @@ from palpate.physics.observation import Observation
 
 @dataclass
 class ObservationBatch:
-    """Observed displacements of one followed point a sample, at up to M instants."""
+    """Observed displacements of one tracked point a sample, at up to M instants."""
 
     steps: Tensor
     """Index into the trajectory that each observation belongs to, shape [B, M], int64."""
@@ -28,8 +28,7 @@ class ObservationBatch:
 
     @classmethod
     def of(cls, observations: Sequence[Observation], time_step: float) -> Self:
-        """Join observations of one point each, for trajectories with this time step [s]; what was not observed weighs
-        0."""
+        """Join observations of one point each, for trajectories with a time step [s]; missing ones weigh 0."""
         steps = [torch.from_numpy(observation.steps(time_step)) for observation in observations]
         moved = [torch.from_numpy(item.displacement.squeeze(0).astype(np.float32)) for item in observations]
         weight = [points.isfinite().all(dim=1).float() for points in moved]
@@ -74,7 +73,7 @@ class PairBatch:
     a: Direction
     """Forward in time, from t."""
     b: Direction
-    """Backward in time, from t + horizon; what is known of the contact is equal on both sides."""
+    """Backward in time, from t + horizon; the known parts of the contact are those of `a`."""
 
     def to(self, device: torch.device) -> Self:
         """The networks' inputs on a device."""

@@ -15,14 +15,12 @@ from palpate.physics.msd.reference import integrator
 
 GRID_EIGENVALUE = 9.0
 """Upper bound on the eigenvalues of the graph Laplacian of springs right, down and along one diagonal."""
-
-
 INSIDE = 1e-3
 """Factor by which the window used may neglect less than the smaller one it is checked with."""
 
 
 class Reach(NamedTuple):
-    """Distances of what acts and what is watched from the centre of a window [springs]."""
+    """Distances of loads and watched vertices from the centre of a window [springs]."""
 
     loaded: int = 0
     """Farthest loaded vertex."""
@@ -33,42 +31,38 @@ class Reach(NamedTuple):
         """Radii within which each step must be computed, shape [T].
 
         Args:
-            from_load: how far each step's influence has come from what acts, shape [T].
-            to_watched: from how far each step can still matter for what is watched, shape [T].
+            from_load: distance from the load that each step's influence has reached, shape [T].
+            to_watched: distance from which each step can still matter for the watched vertices, shape [T].
         """
         return np.minimum(from_load + self.loaded, to_watched + self.watched)
 
 
-ALONE = Reach()
-"""Reach where one vertex is loaded and watched."""
-
-
-def exact_radii(steps: int, reach: Reach = ALONE) -> np.ndarray:
+def exact_radii(steps: int, reach: Reach) -> np.ndarray:
     """Radius within which each step must be computed, shape [T], int64; exact for the watched vertices' trajectories.
 
-    A step carries influence one spring further. From rest, step t can only move vertices within t of the load, and
-    only those within T−1−t of a watched one can still reach it before the end.
+    A step carries influence one spring further. From rest, step t only moves vertices within t of the load. Only those
+    within T−1−t of a watched one can still reach it before the end.
     """
     step = np.arange(steps)
     return reach.narrowed(step, steps - 1 - step)
 
 
 def window_radii(
-    stiffness: float, damping: float, mechanics: Mechanics, steps: int, reach: Reach = ALONE
+    stiffness: float, damping: float, mechanics: Mechanics, steps: int, reach: Reach
 ) -> tuple[np.ndarray, np.ndarray]:
     """Radii of two windows inside the exact cone, shapes [T], int64: the one to use and a smaller one to check it with.
 
-    A response after τ steps is a polynomial in the elastic operator K. Written in Chebyshev polynomials on K's spectrum
-    [0, k_s·λ], λ being GRID_EIGENVALUE, whatever lies n springs away only gets the terms of degree n and more, so the
-    sum of their coefficients bounds what a window of radius n neglects. That holds for small deformation; the
-    comparison of both windows' trajectories is what shows that it holds for the case at hand.
+    A response after τ steps is a polynomial in the elastic operator K, written in Chebyshev polynomials on K's spectrum
+    [0, k_s·GRID_EIGENVALUE]. Vertices n springs away only get the terms of degree n and more: the sum of their
+    coefficients bounds what a window of radius n neglects. The bound is for small deformation; comparing both windows'
+    trajectories shows whether it holds for the case at hand.
 
     Args:
         stiffness: k_s.
         damping: k_d.
         mechanics: constants; ``window_error`` is what the smaller window may neglect, ``INSIDE`` of it the larger.
         steps: T.
-        reach: of what acts and what is watched.
+        reach: distances of loads and watched vertices.
     """
     exact = exact_radii(steps, reach)
     if not (math.isfinite(stiffness) and math.isfinite(damping) and stiffness > 0):
@@ -77,7 +71,7 @@ def window_radii(
     wider = 2 ** (math.ceil(8 * math.log2(stiffness)) / 8)
     slower = 2 ** (math.floor(8 * math.log2(damping)) / 8) if damping > 1e-6 else 0.0
     # Only the smaller of both radii counts, so that responses are needed over half of the time, or over all of it.
-    horizon = int(exact.max()) + 1 if reach == ALONE else steps
+    horizon = int(exact.max()) + 1 if reach == Reach() else steps
     step = np.arange(steps)
     elapsed, left = np.minimum(step, horizon), np.minimum(steps - step, horizon)
     reaches = _decay(wider, slower, mechanics, horizon)

@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.physics.jit import inlined, kernel
-from palpate.physics.mesh import Mesh
-from palpate.physics.msd.reference import NORM_GUARD
+from palpate.physics.mesh import NORM_GUARD, Mesh
 
 PITCHES = (80, 144, 272, 528, 1040)
 """Row lengths for which code is compiled on demand; no powers of two, whose planes would share cache sets."""
@@ -49,7 +48,7 @@ class GridLayout(NamedTuple):
 
 
 def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: np.dtype) -> GridLayout | None:
-    """Lay out what lies within ``reach`` pixels of a vertex.
+    """Lay out the grid within ``reach`` pixels of a vertex.
 
     Args:
         mesh: the mesh.
@@ -59,8 +58,8 @@ def grid_layout(mesh: Mesh, vertex: int, mobile: np.ndarray, reach: int, dtype: 
         dtype: float32 or float64.
 
     Returns:
-        None where the mesh isn't a grid mesh (springs other than right, down and down-right, two vertices on one pixel)
-        or the window is wider than the compiled code allows.
+        None if the window is wider than the compiled code allows, or the mesh isn't a grid mesh: it has springs other
+        than right, down and down-right, or two vertices on one pixel.
     """
     pixels = np.ascontiguousarray(mesh.pixels, dtype=np.int32)
     centre = pixels[vertex].astype(np.int64)
@@ -87,7 +86,7 @@ def places(layout: GridLayout, mesh: Mesh, vertices: np.ndarray, planes: int) ->
 
 @kernel
 def _filled(vertices, springs, pixels, mobile, rows, columns, pitch, guard):
-    """Whether vertices [N, 3] and springs [S, 2] form a grid mesh; then its planes, first and last columns."""
+    """Return whether vertices [N, 3] and springs [S, 2] form a grid mesh; then its planes, first and last columns."""
     block = REST_PLANES * pitch
     rest, taken = np.zeros((rows + 2) * block, vertices.dtype), np.zeros((rows + 2) * pitch, np.bool_)
     first, last = np.full(rows + 3, columns + 2), np.full(rows + 3, -1)
@@ -183,7 +182,7 @@ def _net(springs, i):
 
 @inlined
 def _drift(state, displacement, velocity, value, time_step, tiny):
-    """Store a velocity and move by it; what is too small to mean anything becomes 0, because denormals are slow."""
+    """Store a velocity and move by it; values below `tiny` become 0, because denormals are slow."""
     value = tiny - tiny if abs(value) < tiny else value
     state[velocity] = value
     state[displacement] += time_step * value
@@ -319,7 +318,7 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
 
     Args:
         pitch: row length of the layout.
-        sensitive: whether ∂/∂(k_s, k_d, F) is carried along.
+        sensitive: True = ∂/∂(k_s, k_d, F) is carried along.
     """
     planes, sums = (SENSITIVITY_PLANES, 12) if sensitive else (FORWARD_PLANES, 3)
     # From a tuple they are plain values to numba, which would compile the parts anew for each; LLVM sees constants.
@@ -331,7 +330,7 @@ def specialised(pitch: int, sensitive: bool) -> Callable:
 
         Args:
             layout: a `GridLayout`.
-            radii: how far from the centre each step is computed, [T].
+            radii: distance from the centre up to which each step is computed, [T].
             load: share of F in each step, [T]; places of pressed vertices, [P]; weight·direction of each, [P, 3].
             watched: places of vertices, [M].
             force: F.

@@ -1,4 +1,4 @@
-"""Batches against what was observed: the paper's squared error.
+"""Batches against observations: the paper's squared error.
 
 Source: Bini 2026, equation 14 (the squared 2-norm of a displacement's difference), extended to several time stamps.
 """
@@ -14,19 +14,14 @@ def displacement_error(trajectory: Tensor, observation: ObservationBatch) -> Ten
 
     Args:
         trajectory: displacement of the contact vertex, shape [B, T, 3] [scene units].
-        observation: what was observed; padding may hold anything, also NaN.
+        observation: observed motion; padding may hold anything, also NaN.
 
     Returns:
         Shape [B] [scene units²]; 0 for a sample without any observation.
     """
     weight = observation.weight.clamp(min=0.0)
     total = weight.sum(dim=1)
-    squared = _difference(trajectory, observation).square().sum(dim=-1)
-    return (weight * squared).sum(dim=1) / torch.where(total > 0, total, 1.0)
-
-
-def _difference(trajectory: Tensor, observation: ObservationBatch) -> Tensor:
-    """Simulated minus observed displacement [B, M, 3]; 0 where nothing was observed."""
     steps = observation.steps.clamp(0, trajectory.shape[1] - 1)
     simulated = torch.gather(trajectory, 1, steps[..., None].expand(-1, -1, 3))
-    return torch.where((observation.weight > 0)[..., None], simulated - observation.displacement, 0.0)
+    difference = torch.where((weight > 0)[..., None], simulated - observation.displacement, 0.0)
+    return (weight * difference.square().sum(dim=-1)).sum(dim=1) / torch.where(total > 0, total, 1.0)

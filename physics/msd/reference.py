@@ -11,10 +11,7 @@ from scipy.special import exprel, hyp1f1
 
 from palpate.physics.load import Grip, Load, Press
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.mesh import Mesh, incidence
-
-NORM_GUARD = 1e-18
-"""Added under every square root [scene units²], so that a spring of zero length has a direction: none."""
+from palpate.physics.mesh import NORM_GUARD, Mesh, incidence
 
 
 class Integrator(NamedTuple):
@@ -35,8 +32,8 @@ class Integrator(NamedTuple):
 def integrator(damping: float | np.ndarray, mechanics: Mechanics) -> Integrator:
     """Coefficients of one step for k_d of any shape, float64.
 
-    Drift–kick–drift runs in the same form on the half-step positions w = u + ½Δt·v, with v' = (f − k_d·v)/m solved
-    exactly over the step; its output goes half a drift back.
+    Drift–kick–drift has the same form on the half-step positions w = u + ½Δt·v: v' = (f − k_d·v)/m is solved exactly
+    over the step, and the output goes half a drift back.
     """
     damping = np.asarray(damping, dtype=np.float64)
     step = mechanics.time_step / mechanics.mass
@@ -94,9 +91,9 @@ def steps(
     Args:
         theta: k_s, k_d and signed F, shape [3], floating point; F means nothing under a grip.
         mesh: the mesh at rest.
-        load: what acts on it; one step for each of its own.
+        load: load on the mesh; its steps are the simulation's.
         mechanics: constants.
-        sensitive: whether the derivatives by θ are carried along; else they stay 0.
+        sensitive: True = the derivatives by θ are carried along; False = they stay 0.
     """
     dtype = theta.dtype
     stiffness, damping, force = theta

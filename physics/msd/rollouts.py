@@ -13,19 +13,22 @@ from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import Mesh
 from palpate.physics.msd.autograd import CompiledRollout
 
-DEFAULT = Mechanics()
 Watch = Tensor | None
 
 
 def rollout(
-    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], mechanics: Mechanics = DEFAULT, watch: Watch = None
+    theta: Tensor,
+    meshes: Sequence[Mesh],
+    loads: Sequence[Press],
+    mechanics: Mechanics,
+    watch: Watch = None,
 ) -> Tensor:
     """Displacement of a few vertices after each step, differentiable in θ.
 
     Args:
         theta: k_s, k_d and signed F, shape [B, 3] [normalised]; computed in its precision, float32 at least.
         meshes: B meshes at rest.
-        loads: what acts on each; their number of steps T is the rollout's.
+        loads: load on each mesh; their number of steps T is the rollout's.
         mechanics: constants.
         watch: M vertices of each mesh, shape [B, M], int64; none = the contact vertex.
 
@@ -42,12 +45,16 @@ def rollout(
 
 
 def rollout_sensitivities(
-    theta: Tensor, meshes: Sequence[Mesh], loads: Sequence[Press], mechanics: Mechanics = DEFAULT, watch: Watch = None
+    theta: Tensor,
+    meshes: Sequence[Mesh],
+    loads: Sequence[Press],
+    mechanics: Mechanics,
+    watch: Watch = None,
 ) -> tuple[Tensor, Tensor]:
     """Result of `rollout`, and its exact derivatives by k_s, k_d and F in the same pass, both constants.
 
-    Arguments and errors as in `rollout`. The derivatives have θ as a further last axis; they are 0, with a warning,
-    where the compiled motion is so chaotic that rounding decides them.
+    Arguments and errors as in `rollout`. The derivatives have θ as a further last axis. They are 0, with a warning,
+    where the motion is so chaotic that rounding decides them.
     """
     theta, watched = _checked(theta.detach(), meshes, loads, watch)
     found, slopes = CompiledRollout.apply(theta, meshes, loads, watched, mechanics, True)

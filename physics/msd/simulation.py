@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from palpate.physics.identifiability import log_jacobian
 from palpate.physics.load import Load, Press
 from palpate.physics.mechanics import Mechanics
-from palpate.physics.mesh import Mesh
+from palpate.physics.mesh import NORM_GUARD, Mesh
 from palpate.physics.msd import grid_kernel, reference
 from palpate.physics.msd.cone import Reach, exact_radii, window_radii
 from palpate.physics.msd.grid_kernel import GridLayout
@@ -28,7 +28,7 @@ def simulate(
     Args:
         theta: k_s, k_d and signed F, shape [3] [normalised]; F means nothing under a grip.
         mesh: the mesh at rest.
-        load: what acts on it; its number of steps T is the simulation's.
+        load: load on the mesh; its number of steps T is the simulation's.
         mechanics: constants.
         watch: vertices, shape [M]; None = the load's first one.
         dtype: float32 or float64, the precision of the computation.
@@ -65,7 +65,7 @@ def simulate_tangent(theta: ArrayLike, mesh: Mesh, load: Load, mechanics: Mechan
 
 
 def is_chaotic(path: np.ndarray, log_slopes: np.ndarray) -> bool:
-    """Whether a motion reacts so strongly to φ that rounding decides its derivatives; shapes [T, …] and [T, …, D]."""
+    """Return whether rounding decides a motion's derivatives by φ, so large are they; shapes [T, …] and [T, …, D]."""
     # Measured in single precision on a 14,800-vertex mesh: below 20 they agree with double precision to 1 %, at 100 to
     # 10 %.
     limit = 100.0 if path.dtype == np.float32 else 1e8
@@ -105,7 +105,7 @@ def require_inside(mesh: Mesh, load: Load, watch: np.ndarray) -> None:
 def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray]:
     """Motion of the watched vertices [T, M, 3] and, where they are wanted, its derivatives by θ [T, M, 3, 3].
 
-    Grips, decimated meshes and whatever else the compiled stencil can't do run in the plain version.
+    Grips, decimated meshes and other cases without a compiled stencil run in the plain version.
     """
     if isinstance(case.load, Press):
         found = _on_grid(case, case.load, sensitive)
@@ -120,8 +120,8 @@ def watched_rollout(case: Case, sensitive: bool) -> tuple[np.ndarray, np.ndarray
 def _on_grid(case: Case, press: Press, sensitive: bool) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the rollout, compiled; None where the mesh is no grid.
 
-    With ``window_error`` set, a window of the exact cone is computed and compared with a smaller one's trajectory;
-    where the two differ by more than the error allowed, the exact cone is computed instead.
+    With ``window_error`` set, a window of the exact cone is computed and compared with a smaller one's trajectory. If
+    the two differ by more than the error allowed, the exact cone is computed instead.
     """
     mechanics, (stiffness, damping, _) = case.mechanics, (float(value) for value in case.theta)
     reach = Reach(_farthest(case, press.vertices), _farthest(case, case.watch))
@@ -176,11 +176,11 @@ def _numbers(case: Case, press: Press) -> tuple:
     impulse = float(step.kick * np.abs(case.theta[2]) * np.abs(press.factor).max(initial=0.0))
     tiny = max(1e-12 * impulse, 1e-30) if dtype == np.float32 else 1e-200
     values = (case.theta[0], step.keep, step.kick, step.keep_slope, step.kick_slope, mechanics.time_step)
-    return tuple(dtype.type(value) for value in (*values, step.lag, tiny, reference.NORM_GUARD))
+    return tuple(dtype.type(value) for value in (*values, step.lag, tiny, NORM_GUARD))
 
 
 def _case(theta, mesh, load, mechanics, watch, dtype) -> Case:
-    """The arguments as one checked case, or a ValueError that says what is wrong."""
+    """The arguments as one checked case, or a ValueError with the reason."""
     theta = np.asarray(theta, dtype=dtype)
     if theta.shape != (3,) or not np.isfinite(theta).all():
         raise ValueError(f"theta is {theta.tolist()}; give three finite numbers k_s, k_d and F.")

@@ -2,7 +2,7 @@
 
 body               particles and what joins them: distances, volumes of tetrahedra, shapes of neighbourhoods; below a
                    sheet, a volume
-stiffness          fields over particles, and what they make of every constraint
+stiffness          fields over particles, and the stiffness of every constraint
 simulation         time steps under a grip, batched over states and fields, and their exact adjoint
 potential          elastic energy, its gradient, and its second derivatives along a direction
 constraint_kernel  compiled values, gradients and second derivatives of one constraint

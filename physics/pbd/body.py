@@ -9,9 +9,6 @@ from scipy.sparse import csr_array
 
 from palpate.physics.mesh import crosses
 
-NORM_GUARD = 1e-18
-"""Added under square roots [m²]: lengths of zero have a gradient, and shapes at rest one of zero."""
-
 
 class Layout(NamedTuple):
     """Arrays of compiled loops; K constraints with M members in all: distances first, then volumes, then shapes."""
@@ -68,7 +65,7 @@ class Body:
         return slice(0, volumes), slice(volumes, shapes), slice(shapes, len(self.layout.rest))
 
     def inverse_mass(self, gripped: np.ndarray) -> np.ndarray:
-        """1, the paper's masses being nowhere given, and 0 for what is pinned or gripped, shape [N].
+        """1, as the paper gives no masses, and 0 for pinned or gripped particles, shape [N].
 
         Args:
             gripped: particles, shape [G].
@@ -94,8 +91,8 @@ def make_body(
     Args:
         rest: positions at rest, shape [N, 3] [m].
         faces: triangles of a sheet, or of a body's surface, shape [F, 3].
-        tetrahedra: of a body, shape [V, 4]; None = a sheet.
-        pinned: which particles never move, shape [N], bool; None = none.
+        tetrahedra: tetrahedra of a volume, shape [V, 4]; None = a sheet.
+        pinned: mask of particles that never move, shape [N]; None = none.
 
     Raises:
         ValueError: shapes that don't fit, indices of no particle, numbers that are not finite, edges of zero.
@@ -158,10 +155,9 @@ def layered(upper: np.ndarray, faces: np.ndarray, below: np.ndarray, layers: int
         layers: the surface and those below, 2 at least.
 
     Returns:
-        Positions layer after layer, the surface's first, shape [layers·n, 3]; corners of the tetrahedra, shape [V, 4],
-        3·F·(layers - 1) of them but where a prism would turn over, as below a step of the surface that leans over, or
-        where layers below a bend cross each other: there are none. The volumes of a prism's three add up to a
-        positive one.
+        Positions layer after layer, the surface's first, shape [layers·n, 3], and corners of the tetrahedra, shape
+        [V, 4]. There are none where a prism would turn over: below a step that leans over, or a sharp bend. The volumes
+        of a prism's three add up to a positive one.
     """
     rest = (upper + np.linspace(0, 1, layers)[:, None, None] * below).reshape(-1, 3)
     ordered = np.sort(faces, axis=1)  # the same for all: prisms side by side share the diagonals of their sides

@@ -6,7 +6,7 @@ and Macklin 2016, as the paper doesn't say which it uses:
 distance  C = |x₁ - x₂| - ℓ₀
 volume    C = (x₂ - x₁)×(x₃ - x₁)·(x₄ - x₁)/6 - V₀
 shape     C = √(Σ |xᵢ - x̄ - R qᵢ|²), R the rotation that makes it smallest. As R and x̄ are where the sum is smallest,
-          its gradient is that with both held: it adds up to no force and to no moment, whatever the masses.
+          its gradient is that with both held: it adds up to no force and to no moment for any masses.
 
 The rotation of a shape is carried along as a quaternion: Newton's method from the last one settles it to rounding in
 two or three steps, so that it depends on where it began no more than a singular value decomposition would.
@@ -15,7 +15,7 @@ two or three steps, so that it depends on where it began no more than a singular
 import numpy as np
 
 from palpate.physics.jit import inlined
-from palpate.physics.pbd.body import NORM_GUARD
+from palpate.physics.mesh import NORM_GUARD
 
 _NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -90,7 +90,7 @@ def _column(matrix, index):
 
 @inlined
 def _turned_back(rotation, matrix):
-    """Rᵀ A by columns: what is left of A besides its rotation."""
+    """Rᵀ A by columns, A without its rotation."""
     columns = _column(matrix, 0), _column(matrix, 1), _column(matrix, 2)
     x, y, z = _column(rotation, 0), _column(rotation, 1), _column(rotation, 2)
     return _times(columns, x), _times(columns, y), _times(columns, z)
@@ -228,7 +228,7 @@ def met(layout, points, turn, index, slope):
         layout: a `Layout`.
         points: [N, 3].
         turn: quaternions of the shapes to begin at, [P, 4]; out: those found.
-        index: of the constraint.
+        index: number of the constraint.
         slope: out, its gradient by each member, [M, 3].
     """
     starts, members, rest, offsets, firsts = layout
@@ -242,9 +242,9 @@ def bent(layout, index, quaternion, left, slope, value, along, out):
     """Change of the gradient of a volume or a shape by each member, [M, 3], where members move by `along` [M, 3].
 
     Args:
-        layout, index: as in `met`.
-        quaternion: of the shape's rotation R.
-        left: what `met` gave: sides of a volume, Rᵀ A of a shape.
+        layout, index: arguments of `met`.
+        quaternion: quaternion of the shape's rotation R.
+        left: output of `met`: sides of a volume, Rᵀ A of a shape.
         slope: its gradient by each member, [M, 3].
         value: its C.
         along: direction of each member, [M, 3].

@@ -78,9 +78,9 @@ def simulate(
     Args:
         body: particles and constraints.
         fields: stiffness over the particles.
-        grips: which particles are moved, and whereto from *rest*; several grip the same ones over as many steps. A
-            number: of steps that nothing grips in.
-        stepping: how.
+        grips: moved particles and their displacement from *rest*; several grip the same ones over as many steps. A
+            number: number of steps without a grip.
+        stepping: settings of the steps.
         start: positions to begin at, shape [B, N, 3] or [N, 3] [m]; None = rest.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Stiffness that differs from particle to particle, and what it makes of every constraint."""
+"""Stiffness that differs from particle to particle, and the stiffness of every constraint."""
 
 from typing import NamedTuple
 

@@ -48,7 +48,7 @@ def _sweep(layout, weight, inverse_mass, points, multipliers, turn, slope, kept,
         turn: quaternions of the shapes, [P, 4], changed.
         slope: out, gradients of volumes and shapes by their members, [M, 3].
         kept: out, what the way back needs of distances [·, 5], and of volumes and shapes [·, 15].
-        every: whether to keep that, and to go over constraints without a weight, too: they have a slope.
+        every: True = keep that, also for constraints without a weight, which have a slope.
     """
     starts, members, rest, _, firsts = layout
     distances, several = kept
@@ -93,10 +93,10 @@ def sweep_forward(layout, weight, inverse_mass, rest, gripped, path, foundation,
     Args:
         layout: a `Layout`.
         weight: k Δt² of every constraint, [B, K].
-        inverse_mass: of a particle with its foundation, 1/(m + f Δt²), [N].
-        rest: where the foundation pulls to, [N, 3].
+        inverse_mass: inverse mass of a particle with its foundation, 1/(m + f Δt²), [N].
+        rest: place to which the foundation pulls, [N, 3].
         gripped: particles, [G].
-        path: where they are after each step, [B, T, G, 3].
+        path: places of the gripped particles after each step, [B, T, G, 3].
         foundation: f Δt².
         sweeps: over all constraints a step.
         turn: quaternions of the shapes to begin at, [B, P, 4]; used up.
@@ -183,7 +183,7 @@ def sweep_adjoint(layout, weight, inverse_mass, rest, gripped, path, foundation,
     Args:
         layout … sweeps: as given to `sweep_forward`.
         turn: quaternions to begin at, [B, P, 4]; used up.
-        motion: what it wrote.
+        motion: output of the steps.
         pulls: derivatives by it, [B, T + 1, N, 3]; used up.
         slopes: out, derivatives by the weights [B, K].
     """

@@ -6,7 +6,7 @@ from palpate.physics import depth
 
 
 def test_smooth_errors_are_those_of_a_gaussian_process() -> None:
-    columns = depth.smooth_errors(1e-3)
+    columns = 1e-3 * depth.smooth_errors()
     places = np.mgrid[: 2 * depth.REACH + 1, : 2 * depth.REACH + 1].reshape(2, -1).T
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     expected = (depth.REST_SHARE * 1e-3) ** 2 * np.exp(-0.5 * (apart / depth.REST_LENGTH) ** 2)

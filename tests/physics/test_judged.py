@@ -65,6 +65,7 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         from torch.nn.parallel import DistributedDataParallel
         from tests.physics.batches import batch_of
         from tests.physics.sheets import sheet
+        from palpate.physics.mechanics import Mechanics
         from palpate.physics.msd.rollouts import rollout
 
         child = os.fork()  # imports take longer than all the rest
@@ -78,7 +79,7 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
         mesh, load = batch_of([sheet(9, 8)] * 2, [[30, 31], [20, 37]][rank])
         everywhere = DistributedDataParallel(head)
         theta = everywhere(torch.ones(2, 1))
-        (1e3 * rollout(theta, mesh, load).square().mean()).backward()
+        (1e3 * rollout(theta, mesh, load, Mechanics()).square().mean()).backward()
         os.write(1, (str(head.weight.grad.ravel().tolist()) + "\\n").encode())  # at once: both write there
         distributed.barrier()
         status = os.waitpid(child, 0)[1] if child else 0
@@ -92,7 +93,7 @@ def test_distributed_training_has_the_gradient_of_one_process(tmp_path):
 
     theta = torch.tensor([[0.7, 0.05, -0.1]], requires_grad=True)
     mesh, load = batch_of([sheet(9, 8)] * 4, [30, 31, 20, 37])
-    (1e3 * rollout(theta.expand(4, 3), mesh, load).square().mean()).backward()
+    (1e3 * rollout(theta.expand(4, 3), mesh, load, Mechanics()).square().mean()).backward()
     for gradient in gradients:
         torch.testing.assert_close(gradient, theta.grad[0], rtol=1e-4, atol=1e-7)
 

@@ -15,10 +15,8 @@ from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
 from palpate.data.training.instruments import scenery
 from palpate.data.training.instruments.drawing import Canvas, draw_instrument
 
-SIZE = (192, 320)
-"""Height and width of the network's input [px]."""
 IGNORED = 255
-"""Label of pixels that no loss counts."""
+"""Label of pixels that the loss ignores."""
 
 
 class Labelled(NamedTuple):
@@ -70,7 +68,7 @@ class RealPictures:
 
 
 def warp(rng: np.random.Generator, source: Labelled, size: tuple[int, int]) -> Labelled:
-    """A random crop of a picture with its mask: turned, mirrored, scaled to `size`; beyond the edge it is not known."""
+    """A random crop of a picture with its mask: turned, mirrored, scaled to `size`; not known beyond the edge."""
     height, width = size
     h, w = source.tool.shape
     scale = max(height / h, width / w) * rng.uniform(0.8, 2.0)
@@ -90,14 +88,14 @@ class InstrumentPictures(IterableDataset):
     """Endless pictures [3, H, W] in [0, 1] with labels [H, W]: 0, 1 = instrument, 255 = not known.
 
     Args:
-        real: real pictures; where there are none all are drawn.
-        seed: of all random numbers; each worker draws its own.
+        real: real pictures; without any, all are drawn.
+        seed: seed of all random numbers; each worker draws its own.
         real_share: share of labelled real pictures.
         size: height and width [px].
     """
 
     def __init__(
-        self, real: RealPictures, seed: int = 0, real_share: float = 0.25, size: tuple[int, int] = SIZE
+        self, real: RealPictures, seed: int = 0, real_share: float = 0.25, size: tuple[int, int] = (192, 320)
     ) -> None:
         self.real, self.seed, self.size = real, seed, size
         self.real_share = real_share if real.labelled else 0.0
@@ -150,9 +148,9 @@ class InstrumentPictures(IterableDataset):
         return picture
 
     def _with_instrument(self, rng: np.random.Generator, picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A picture with one more instrument, drawn or pasted, and where it shows, bool [H, W]."""
+        """A picture with one more instrument, drawn or pasted, and the mask of its visible part [H, W]."""
         height, width = self.size
-        canvas = Canvas(picture.copy(), np.zeros(self.size, np.uint8), rng)
+        canvas = Canvas(picture.copy(), np.zeros(self.size, bool), rng)
         if self.real.labelled and rng.random() < 0.15:
             self._paste(rng, canvas)
         else:
@@ -163,7 +161,7 @@ class InstrumentPictures(IterableDataset):
             begin = entry - way / max(float(np.hypot(*way)), 1) * 0.12 * width
             wide = rng.uniform(-1.9, -1.1) if rng.random() < 0.14 else rng.uniform(-3.9, -1.9)  # at times an endoscope
             draw_instrument(canvas, begin, entry + way * rng.uniform(0.25, 1.0), width * np.exp(wide))
-        mask = canvas.owner > 0
+        mask = canvas.tool
         if rng.random() < 0.15:  # tissue in front of it
             mask &= scenery.smooth_noise(rng, self.size, rng.uniform(2, 6)) < rng.uniform(0.6, 1.5)
         soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), rng.uniform(0.3, 1.0))[..., None]
@@ -181,13 +179,15 @@ class InstrumentPictures(IterableDataset):
         part = parts == rng.integers(1, max(count, 2))
         if part.mean() > 0.002:
             gain = np.sqrt(rng.uniform(0.7, 1.3, 3))
-            canvas.picture[part], canvas.owner[part] = source.picture[part] / 255 * gain, 1
+            canvas.picture[part], canvas.tool[part] = source.picture[part] / 255 * gain, True
 
 
 def filmed(rng: np.random.Generator, picture: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """What a camera makes of a picture: smoke, vignette, rim, letters, blur, colour, noise, and coding; [H, W, 3].
+    """A picture as a camera shows it: smoke, vignette, rim, letters, blur, colour, noise, and coding; [H, W, 3].
 
     Args:
+        rng: random numbers.
+        picture: in [0, 1], shape [H, W, 3].
         view: view through the endoscope, in [0, 1], shape [H, W, 1].
     """
     size = picture.shape[:2]

@@ -1,4 +1,4 @@
-"""The pictures that a training of the instrument network reads, and those that validate it."""
+"""Pictures that train and validate the instrument network."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ class InstrumentData(LightningDataModule):
         batch_size: pictures in a batch.
         workers: processes that draw; two cores draw as fast as one trains.
         validation: number of pictures that validate.
-        seed: of all that is drawn.
+        seed: seed of all random numbers.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Instruments as shaded solids: shafts, collars, wrists, jaws, hooks, electrodes, seen by a lamp at the lens.
 
-Every part is a cone along an axis in the picture. Its normal follows from the place across the axis, so that light from
-the camera shades it as it would the solid: bright in the middle, dark at the sides, with highlights along the axis.
+Every part is a cone along an axis in the picture. Its normal follows from the place across the axis, which gives the
+solid's shading under the camera's light: bright in the middle, dark at the sides, with highlights along the axis.
 """
 
 from dataclasses import dataclass
@@ -9,27 +9,19 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-SUBPIXEL_BITS = 4
-"""Fraction bits of polygon corners in `cv2.fillConvexPoly`."""
-SHAFTS = ("dark", "dark", "dark", "steel", "grey", "white", "colored", "gold")
-METALS = ("steel", "steel", "steel", "grey", "dark", "gold")
-"""Materials of shafts, and of what is in front of them, by how often they are seen."""
-ENDS = ("jaws", "jaws", "jaws", "fenestrated", "scissors", "hook", "cone", "suction", "wrist", "wrist", "stump", "clip")
-"""What an instrument ends in."""
-
 
 @dataclass(frozen=True)
 class Material:
-    """What a part is made of."""
+    """Material of a part."""
 
     color: np.ndarray
     """Reflected colour under full light, shape [3]."""
     gloss: float
     """Brightness of the highlight along the axis."""
     mirror: float = 0.0
-    """Share of streaks, as the surroundings seen in bare metal."""
+    """Share of streaks, like reflections in bare metal."""
     stripes: float = 0.0
-    """Contrast of rings across the axis, as grooves, threads and print."""
+    """Contrast of rings across the axis, like grooves, threads and print."""
 
 
 def draw_material(kinds: tuple[str, ...], rng: np.random.Generator) -> Material:
@@ -57,16 +49,14 @@ class Canvas:
 
     picture: np.ndarray
     """RGB, float32 [H, W, 3], 0 to 1 and more where it is overexposed."""
-    owner: np.ndarray
-    """Number of the instrument of each pixel, uint8 [H, W]; 0 = background."""
+    tool: np.ndarray
+    """Mask of the instrument, bool [H, W]."""
     rng: np.random.Generator
-    number: int = 1
-    """Number of the instrument that is drawn."""
     light: float = 1.0
     """Brightness of the lamp on the instrument."""
 
     def part(self, begin: np.ndarray, end: np.ndarray, widths: tuple[float, float], material: Material) -> None:
-        """Draw a cone from (x, y) to (x, y) [px], of such widths there [px]."""
+        """Draw a cone from (x, y) to (x, y) [px], of widths at both ends [px]."""
         length = float(np.hypot(*(end - begin)))
         if length < 0.5:
             return
@@ -74,21 +64,21 @@ class Canvas:
         across = np.array([-axis[1], axis[0]])
         sides = across * half[0], across * half[1]
         corners = np.array([begin + sides[0], end + sides[1], end - sides[1], begin - sides[0]])
-        height, width = self.owner.shape
+        height, width = self.tool.shape
         left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
         right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, (width, height))
         if left >= right or top >= bottom:
             return
         cover = np.zeros((bottom - top, right - left), np.uint8)
-        fixed = np.round((corners - (left, top)) * (1 << SUBPIXEL_BITS)).astype(np.int32)
-        cv2.fillConvexPoly(cover, fixed, 255, cv2.LINE_AA, SUBPIXEL_BITS)
+        fixed = np.round((corners - (left, top)) * 16).astype(np.int32)
+        cv2.fillConvexPoly(cover, fixed, 255, cv2.LINE_AA, 4)  # 4 bits of a fraction
         v, u = np.mgrid[top:bottom, left:right].astype(np.float32)
         along = ((u - begin[0]) * axis[0] + (v - begin[1]) * axis[1]) / length
         radius = np.maximum(half[0] + (half[1] - half[0]) * np.clip(along, 0, 1), 0.5)
         aside = np.clip(((u - begin[0]) * across[0] + (v - begin[1]) * across[1]) / radius, -1, 1)
         where, alpha = np.s_[top:bottom, left:right], cover.astype(np.float32)[..., None] / 255
         self.picture[where] += alpha * (self._shade(along, aside, material) - self.picture[where])
-        self.owner[where][cover > 127] = self.number
+        self.tool[where][cover > 127] = True
 
     def _shade(self, along: np.ndarray, aside: np.ndarray, material: Material) -> np.ndarray:
         """Colour [h, w, 3] at places along the axis, 0 to 1, and across it, -1 to 1."""
@@ -98,7 +88,7 @@ class Canvas:
         if material.mirror:
             knots = rng.uniform(0.1, 1.3, rng.integers(5, 14))
             streaks = np.interp(aside, np.linspace(-1, 1, len(knots)), knots)[..., None]
-            # What bare metal mirrors is reddish.
+            # Bare metal reflects reddish tissue.
             reflected = streaks * (np.array([1.0, 0.76, 0.72]) * material.color)
             value = value + material.mirror * (reflected - value)
         if material.stripes:
@@ -112,13 +102,16 @@ class Canvas:
 
 
 def draw_instrument(canvas: Canvas, entry: np.ndarray, tip: np.ndarray, width: float) -> None:
-    """Draw an instrument from its entry to its tip, (x, y) [px] each; its shaft is so wide at the tip [px]."""
+    """Draw an instrument from its entry to its tip, (x, y) [px] each; `width` is that of its shaft at the tip [px]."""
     rng = canvas.rng
     canvas.light = rng.uniform(0.5, 1.5)
     length = float(np.hypot(*(tip - entry)))
     axis, taper = (tip - entry) / max(length, 1e-6), rng.uniform(1.0, 1.9)
     neck = tip - axis * min(width * rng.uniform(1.5, 5.0), 0.8 * length)
-    shaft, metal, end = draw_material(SHAFTS, rng), draw_material(METALS, rng), str(rng.choice(ENDS))
+    shaft = draw_material(("dark", "dark", "dark", "steel", "grey", "white", "colored", "gold"), rng)
+    metal = draw_material(("steel", "steel", "steel", "grey", "dark", "gold"), rng)
+    ends = ("jaws", "jaws", "jaws", "fenestrated", "scissors", "hook", "cone", "suction", "wrist", "wrist", "stump")
+    end = str(rng.choice((*ends, "clip")))
     canvas.part(entry, neck, (width * taper, width), shaft)
     if rng.random() < 0.3:  # a band of another material
         place = rng.uniform(0.1, 0.9)
@@ -156,7 +149,7 @@ def _jaws(canvas: Canvas, neck: np.ndarray, tip: np.ndarray, width: float, metal
         radius = max(wide * 0.35, 1)
         canvas.part(last - way * radius, last + way * radius, (radius * 1.6, radius * 0.8), metal)
         if before is not None:
-            slot = np.zeros(canvas.owner.shape, np.uint8)
+            slot = np.zeros(canvas.tool.shape, np.uint8)
             ends = [(start + (last - start) * share).astype(int) for share in (0.25, 0.8)]
             cv2.line(slot, *ends, 1, max(int(wide * 0.4), 1), cv2.LINE_AA)
             canvas.picture[slot > 0] = before[slot > 0] * 0.8

@@ -1,4 +1,4 @@
-"""Backgrounds without instruments: procedural tissue, real pictures, gauze, drapes, and what lies over a picture."""
+"""Backgrounds without instruments: procedural tissue, real pictures, gauze, drapes, rims and lettering."""
 
 import cv2
 import numpy as np
@@ -13,14 +13,10 @@ PALETTE = np.array(
     np.float32,
 ) / 255  # fmt: skip
 """Colours of liver, bowel, fat, gall bladder, bloody tissue, and of pale and grey membranes under white light."""
-CLOTHS = (
-    np.array([[90, 90, 85], [60, 60, 60], [75, 70, 65], [15, 30, 40], [20, 40, 70], [40, 40, 45]], np.float32) / 100
-)
-"""Colours of gauze, membranes and drapes."""
 
 
 def smooth_noise(rng: np.random.Generator, size: tuple[int, int], cells: float) -> np.ndarray:
-    """Smooth noise of unit scale, float32 [H, W], with so many cells along the longer side."""
+    """Smooth noise of unit scale, float32 [H, W], with `cells` cells along the longer side."""
     height, width = size
     long = max(height, width)
     cells_of = tuple(max(int(cells * side / long), 1) + 3 for side in size)
@@ -82,7 +78,7 @@ def lamp(rng: np.random.Generator, size: tuple[int, int], relief: np.ndarray | N
 
 
 def sparkle(rng: np.random.Generator, picture: np.ndarray) -> None:
-    """Scatter highlights over wet tissue: specks and streaks in clusters, which are no bare metal."""
+    """Scatter highlights over wet tissue: specks and streaks in clusters."""
     height, width = picture.shape[:2]
     light = np.zeros((height, width), np.float32)
     for _ in range(rng.integers(1, 5)):
@@ -102,7 +98,9 @@ def cloth(rng: np.random.Generator, picture: np.ndarray) -> None:
     if rng.random() < 0.3:  # vessels shine through a membrane
         veins = np.exp(-np.square(smooth_noise(rng, size, rng.uniform(6, 20)) / rng.uniform(0.05, 0.2)))
         edge = edge * (1 - rng.uniform(0.2, 0.8) * veins)
-    color = CLOTHS[rng.integers(len(CLOTHS))]
+    # Colours of gauze, membranes and drapes.
+    colors = np.array([[90, 90, 85], [60, 60, 60], [75, 70, 65], [15, 30, 40], [20, 40, 70], [40, 40, 45]], np.float32)
+    color = colors[rng.integers(len(colors))] / 100
     weave = 1.0
     if rng.random() < 0.5:
         v, u = np.mgrid[: size[0], : size[1]].astype(np.float32)

@@ -313,7 +313,7 @@ def draw_sequence_errors(
 @functools.cache
 def smooth_share() -> np.ndarray:
     """Factor of the covariance that the rest surface's error has in the shapes' amounts, [SHAPES, SHAPES] [σ]."""
-    smooth = dent_shapes().T @ smooth_errors(1.0)
+    smooth = dent_shapes().T @ smooth_errors()
     return np.linalg.cholesky(smooth @ smooth.T + 1e-12 * np.eye(SHAPES))
 
 

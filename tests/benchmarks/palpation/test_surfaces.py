@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.palpation import __main__ as surfaces
-from benchmarks.palpation.__main__ import POISSON, SIX, STARTS, YOUNG
+from benchmarks.palpation.__main__ import SIX, STARTS
+from benchmarks.palpation.synthetic import POISSON, YOUNG
 from palpate.estimators.palpation.material_fit import FitSettings
 
 

@@ -58,10 +58,9 @@ def test_tissue_that_all_moves_alike_is_an_error_of_the_background() -> None:
     assert log_ratio(dataclasses.replace(ring(1.0), background_sd=0.5)) > 3
 
 
-def test_it_is_the_ratio_of_marginal_likelihoods(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_the_ratio_of_marginal_likelihoods() -> None:
     """A brute-force twin: every sum written out."""
-    monkeypatch.setattr(module, "REACH", (50.0, 90.0))
-    monkeypatch.setattr(module, "COUPLING", (0.5, 1.0))
+    reaches, couplings = (40.0, 80.0, 160.0), (0.4, 0.6, 0.8, 1.0)
     observed = ring(0.6)
     observed = dataclasses.replace(observed, moved=observed.moved[:20], distance=observed.distance[:20], tool_sd=0.3)
     weight = (observed.spacing / module.CORRELATION_LENGTH) ** 2
@@ -82,10 +81,10 @@ def test_it_is_the_ratio_of_marginal_likelihoods(monkeypatch: pytest.MonkeyPatch
         plain = (1 - module.LEAKED - module.OUTLIERS) * density(moved, own)
         still = plain + module.LEAKED * leaked + module.OUTLIERS * density(moved, 4 * (own + way))
         apart += prior * math.exp(weight * np.log(still).sum())
-        for three, reach, coupling in itertools.product(range(5), (50.0, 90.0), (0.5, 1.0)):
+        for three, reach, coupling in itertools.product(range(5), reaches, couplings):
             longer = 1 + axis[three] * observed.tool_sd / math.sqrt(way)
             share = coupling * np.exp(-observed.distance / reach) * longer
             found = density(moved - share[:, None] * tool, own + (module.HELD_SPREAD * share) ** 2 * way)
             total = np.log(module.HELD * found + (1 - module.HELD) * still).sum()
-            held += prior * gauss[three] / 4 * math.exp(weight * total)
+            held += prior * gauss[three] / 12 * math.exp(weight * total)
     assert log_ratio(observed) == pytest.approx(math.log(held / apart), abs=1e-9)

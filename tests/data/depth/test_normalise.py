@@ -122,7 +122,7 @@ def test_resize_keeps_a_cell_only_with_half_of_its_label_valid():
 
 def test_resize_refuses_maps_of_two_sizes():
     with pytest.raises(ValueError, match=r"\(3, 4\) and labels \(4, 3\)"):
-        resize_depth(np.ones((3, 4), np.float32), np.ones((4, 3), np.uint8))
+        resize_depth(np.ones((3, 4), np.float32), np.ones((4, 3), np.uint8), (2, 2))
 
 
 # Scale

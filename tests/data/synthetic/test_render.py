@@ -123,7 +123,7 @@ def test_light_falls_with_the_square_of_the_distance(clip: SyntheticClip) -> Non
         flat = dataclasses.replace(FLAT, distance=(distance, distance), highlights=0.0)
         scene = draw_scene(flat, np.random.default_rng(0))
         renderer = Renderer(scene, clip.motion, np.random.default_rng(0))  # at rest, whatever the motion
-        means.append(renderer._tissue_light(renderer.rest, np.s_[0:120, 0:214]).mean())
+        means.append(renderer._tissue_light(renderer.rest, np.s_[0:120, 0:214], np.zeros(3, np.float32)).mean())
     assert means[0] / means[1] == pytest.approx((0.6 / 0.4) ** 2, rel=1e-3)
 
 
@@ -153,5 +153,5 @@ def test_shading_has_no_seam_around_the_moving_region(case: tuple[Scene, TrueMot
     scene, motion, rest = case
     renderer = Renderer(scene, motion, np.random.default_rng(0))
     rows, columns = deformed_view(scene, motion, RELEASE, rest).region
-    light = renderer._tissue_light(rest, (rows, columns))
+    light = renderer._tissue_light(rest, (rows, columns), np.zeros(3, np.float32))
     np.testing.assert_allclose(light, renderer.rest_lights[0][rows, columns], atol=2e-3)

@@ -146,7 +146,7 @@ def expected_covariance(
         else:
             part = noise.correlated_in_place * (1 + STILL_NEW * alike)
         covariance += noise.in_place**2 * part * same
-    smooth = smooth_errors(noise.total)[pixel]
+    smooth = noise.total * smooth_errors()[pixel]
     blurs = problem.first.patches.blurs(problem.motion.at(logs_of())[0], problem.first.covering).swapaxes(0, 1)
     blurs = blurs.reshape(frames * pixels, -1)
     covariance += smooth @ smooth.T + blurs @ blurs.T
@@ -213,8 +213,8 @@ def test_what_is_hidden_does_not_count() -> None:
 def test_an_error_of_the_rest_surface_costs_little() -> None:
     """It costs as much as its normal numbers, where noise of its size in every frame would cost far more."""
     problem = problem_of(contact_of())
-    factors = np.random.default_rng(3).normal(size=smooth_errors(SIGMA).shape[1])
-    error = np.tile(smooth_errors(SIGMA) @ factors, (len(TIMES), 1))
+    factors = np.random.default_rng(3).normal(size=smooth_errors().shape[1])
+    error = np.tile(SIGMA * smooth_errors() @ factors, (len(TIMES), 1))
     costs = np.square(problem.first.whitened(5 * error)).sum()
     assert costs < 25 * factors @ factors
     assert costs < 0.25 * np.square(5 * error / SIGMA).sum()

@@ -35,7 +35,7 @@ def test_sequence_information_is_that_of_the_whole_covariance() -> None:
     errors = 1e-3 * generator.normal(size=sequences.amounts.shape)
     known = (np.arange(SLOTS) < np.array([[SLOTS], [7], [2]])).astype(float)
     information, pull = fits.sequence_information(sequences.amount_slopes, sequences.factors, errors, noise, known)
-    smooth = dent_shapes().T @ smooth_errors(1.0)
+    smooth = dent_shapes().T @ smooth_errors()
     for index, seen in enumerate(known.sum(axis=1).astype(int)):
         covariance = np.kron(np.ones((seen, seen)), smooth @ smooth.T)
         for slot in range(seen):
@@ -50,7 +50,7 @@ def test_sequence_information_is_that_of_the_whole_covariance() -> None:
 
 
 def test_the_rest_surfaces_share_is_that_of_its_columns() -> None:
-    smooth = dent_shapes().T @ smooth_errors(1.0)
+    smooth = dent_shapes().T @ smooth_errors()
     np.testing.assert_allclose(fits.smooth_share() @ fits.smooth_share().T, smooth @ smooth.T, atol=1e-11)
 
 

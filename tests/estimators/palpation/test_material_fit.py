@@ -20,7 +20,7 @@ BODY = dataclasses.replace(BODIES["slab"], size=0.08)
 
 @functools.cache
 def pressed(force: float):
-    return press(BODY, 1e4, 0.42, force, (0.1, 0.5), 4, law="corotational")
+    return press(BODY, force, (0.1, 0.5), 4, law="corotational")
 
 
 def observed(force: float, sensor: str = "stereo", seed: int = 3, count: int = 800) -> Palpation:

@@ -38,7 +38,7 @@ def test_results_do_not_depend_on_the_number_of_threads(threads):
     for count in (1, 2, 3):
         threads(count)
         theta = torch.tensor([[0.7, 0.05, -0.1]] * 5, requires_grad=True)
-        trajectory = rollout(theta, mesh, load)
+        trajectory = rollout(theta, mesh, load, Mechanics())
         trajectory.square().sum().backward()
         results.append((trajectory.detach(), theta.grad))
     for trajectory, gradient in results[1:]:
@@ -55,7 +55,7 @@ class Rollouts(Dataset):
     def __getitem__(self, index: int) -> torch.Tensor:
         torch.set_num_threads(2)  # workers start with one; a pool must work there too
         mesh, load = batch_of([sheet(8, 8)] * 2, [27, 28])
-        return rollout(torch.tensor(THETA[:2]), mesh, load)
+        return rollout(torch.tensor(THETA[:2]), mesh, load, Mechanics())
 
 
 def test_workers_forked_from_a_process_with_threads_compute_the_same(threads):
@@ -68,13 +68,13 @@ def test_workers_forked_from_a_process_with_threads_compute_the_same(threads):
 def test_ctrl_c_ends_a_long_rollout(threads):
     mesh, load = batch_of([sheet(8, 8)] * 2, [27, 28])
     threads(2)
-    rollout(torch.tensor(THETA[:2]), mesh, load)  # compiled now
+    rollout(torch.tensor(THETA[:2]), mesh, load, Mechanics())  # compiled now
     begun = time.monotonic()
 
     @interruptible()
     def work() -> None:
         while time.monotonic() < begun + 30:
-            rollout(torch.tensor(THETA[:2]), mesh, load)
+            rollout(torch.tensor(THETA[:2]), mesh, load, Mechanics())
 
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
@@ -85,7 +85,7 @@ def test_ctrl_c_ends_a_long_rollout(threads):
 def test_second_derivatives_are_refused_with_a_sentence():
     mesh, load = batch_of([sheet(6, 6)], [14])
     theta = torch.tensor(THETA[:1], requires_grad=True)
-    (gradient,) = torch.autograd.grad(rollout(theta, mesh, load).square().sum(), theta, create_graph=True)
+    (gradient,) = torch.autograd.grad(rollout(theta, mesh, load, Mechanics()).square().sum(), theta, create_graph=True)
     with pytest.raises(RuntimeError, match="differentiate twice"):
         gradient.sum().backward()
 
@@ -117,18 +117,18 @@ def test_what_is_elsewhere_or_names_no_vertex_is_refused():
     mesh, load = batch_of([sheet(6, 6)], [14])
     theta = torch.tensor(THETA[:1])
     with pytest.raises(ValueError, match="computes on the CPU; move theta there"):
-        rollout(theta.to("meta"), mesh, load)
+        rollout(theta.to("meta"), mesh, load, Mechanics())
     with pytest.raises(ValueError, match="names vertex 36; the mesh has 36"):
-        rollout(theta, mesh, [dataclasses.replace(load[0], vertices=np.array([36]))])
+        rollout(theta, mesh, [dataclasses.replace(load[0], vertices=np.array([36]))], Mechanics())
     with pytest.raises(ValueError, match="watch names vertex -1; the mesh has 36"):
-        rollout(theta, mesh, load, watch=torch.tensor([[3, -1]]))
+        rollout(theta, mesh, load, Mechanics(), watch=torch.tensor([[3, -1]]))
     with pytest.raises(ValueError, match=r"watch has shape \(2,\); give \[1, M\]"):
-        rollout(theta, mesh, load, watch=torch.tensor([3, 4]))
+        rollout(theta, mesh, load, Mechanics(), watch=torch.tensor([3, 4]))
 
 
 def test_one_thread_needs_no_pool(threads):
     msd_autograd._pool.cache_clear()
     threads(1)
     mesh, load = batch_of([sheet(6, 6)] * 2, [14, 15])
-    rollout(torch.tensor(THETA[:2]), mesh, load)
+    rollout(torch.tensor(THETA[:2]), mesh, load, Mechanics())
     assert msd_autograd._pool.cache_info().currsize == 0

@@ -10,9 +10,9 @@ from palpate.physics.msd.cone import GRID_EIGENVALUE, INSIDE, Reach, exact_radii
 
 
 def test_exact_radii_are_what_a_walk_there_and_back_allows():
-    np.testing.assert_array_equal(exact_radii(7), [0, 1, 2, 3, 2, 1, 0])
-    np.testing.assert_array_equal(exact_radii(4), [0, 1, 1, 0])
-    np.testing.assert_array_equal(exact_radii(1), [0])
+    np.testing.assert_array_equal(exact_radii(7, Reach()), [0, 1, 2, 3, 2, 1, 0])
+    np.testing.assert_array_equal(exact_radii(4, Reach()), [0, 1, 1, 0])
+    np.testing.assert_array_equal(exact_radii(1, Reach()), [0])
     np.testing.assert_array_equal(exact_radii(6, Reach(loaded=2)), [2, 3, 3, 2, 1, 0])
     np.testing.assert_array_equal(exact_radii(6, Reach(watched=3)), [0, 1, 2, 3, 4, 3])
 
@@ -22,7 +22,7 @@ def test_windows_of_wide_loads_lie_inside_the_cone_and_around_the_narrow_one(rea
     mechanics = Mechanics(window_error=1e-4)
     exact = exact_radii(200, reach)
     used, checked = window_radii(0.5, 0.1, mechanics, 200, reach)
-    narrow, _ = window_radii(0.5, 0.1, mechanics, 200)
+    narrow, _ = window_radii(0.5, 0.1, mechanics, 200, Reach())
     assert (checked <= used).all()
     assert (used <= exact).all()
     assert (used >= np.minimum(narrow, exact)).all()
@@ -32,8 +32,9 @@ def test_windows_of_wide_loads_lie_inside_the_cone_and_around_the_narrow_one(rea
 @pytest.mark.parametrize("scheme", ["euler", "dkd"])
 @pytest.mark.parametrize("theta", [(1.0, 0.0), (0.5, 0.1), (0.05, 0.6)])
 def test_windows_lie_inside_the_cone_and_grow_with_accuracy(theta, scheme):
-    radii = [window_radii(*theta, Mechanics(window_error=error, scheme=scheme), 200) for error in (1e-2, 1e-4, 1e-6)]
-    exact = exact_radii(200)
+    mechanics = [Mechanics(window_error=error, scheme=scheme) for error in (1e-2, 1e-4, 1e-6)]
+    radii = [window_radii(*theta, each, 200, Reach()) for each in mechanics]
+    exact = exact_radii(200, Reach())
     for used, checked in radii:
         assert (checked <= used).all()
         assert (used <= exact).all()
@@ -64,10 +65,10 @@ def test_the_bound_holds_on_a_chain(stiffness, damping):
             trajectory.append(displacement[count // 2])
         return np.array(trajectory)
 
-    used, checked = window_radii(stiffness * 4 / GRID_EIGENVALUE, damping, mechanics, steps)
+    used, checked = window_radii(stiffness * 4 / GRID_EIGENVALUE, damping, mechanics, steps, Reach())
     full = contact(np.full(steps, count))
     peak = np.abs(full).max()
-    assert np.abs(contact(exact_radii(steps)) - full).max() < 1e-13 * peak
+    assert np.abs(contact(exact_radii(steps, Reach())) - full).max() < 1e-13 * peak
     # What is lost on the way out and on the way back adds up over the steps.
     assert np.abs(contact(checked) - full).max() < 10 * mechanics.window_error * peak
     assert np.abs(contact(used) - full).max() < 10 * INSIDE * mechanics.window_error * peak
@@ -77,6 +78,6 @@ def test_the_bound_holds_on_a_chain(stiffness, damping):
     "theta", [(0.0, 0.1), (float("nan"), 0.1), (0.5, float("nan")), (float("inf"), 0.0), (1e9, 0.0)]
 )
 def test_what_cannot_be_bounded_gets_the_exact_cone(theta):
-    used, checked = window_radii(*theta, Mechanics(window_error=1e-3), 200)
-    np.testing.assert_array_equal(used, exact_radii(200))
-    np.testing.assert_array_equal(checked, exact_radii(200))
+    used, checked = window_radii(*theta, Mechanics(window_error=1e-3), 200, Reach())
+    np.testing.assert_array_equal(used, exact_radii(200, Reach()))
+    np.testing.assert_array_equal(checked, exact_radii(200, Reach()))

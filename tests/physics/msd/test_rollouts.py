@@ -69,7 +69,7 @@ def test_gradient_in_single_precision_agrees_with_double():
     gradients = []
     for dtype in (torch.float32, torch.float64):
         theta = torch.tensor([[0.7, 0.05, -0.1]], dtype=dtype, requires_grad=True)
-        rollout(theta, mesh, load)[:, :, 2].mean().backward()
+        rollout(theta, mesh, load, Mechanics())[:, :, 2].mean().backward()
         gradients.append(theta.grad.double())
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=0)
 
@@ -98,18 +98,19 @@ def test_gradient_is_finite_at_rest_without_stiffness_and_with_coincident_vertic
 
 def test_half_precision_is_computed_in_single():
     mesh, load = batch_of([sheet(6, 6)], [14])
-    assert rollout(torch.tensor([[0.5, 0.1, -0.1]], dtype=torch.float16), mesh, load).dtype == torch.float32
+    theta = torch.tensor([[0.5, 0.1, -0.1]], dtype=torch.float16)
+    assert rollout(theta, mesh, load, Mechanics()).dtype == torch.float32
 
 
 def test_shapes_that_do_not_belong_together_are_named():
     mesh, load = batch_of([sheet(6, 6)], [14])
     with pytest.raises(ValueError, match=r"theta has shape \(2, 3\); give \(1, 3\) for 1 meshes"):
-        rollout(torch.zeros(2, 3), mesh, load)
+        rollout(torch.zeros(2, 3), mesh, load, Mechanics())
     with pytest.raises(ValueError, match="0 meshes have 0 loads; give a load for each mesh, one at least"):
-        rollout(torch.zeros(0, 3), [], [])
+        rollout(torch.zeros(0, 3), [], [], Mechanics())
     with pytest.raises(ValueError, match="1 meshes have 2 loads"):
-        rollout(torch.zeros(1, 3), mesh, load * 2)
+        rollout(torch.zeros(1, 3), mesh, load * 2, Mechanics())
     with pytest.raises(ValueError, match="names vertex 14; the mesh has 0"):
-        rollout(torch.zeros(1, 3), [hand_mesh([], [])], load)
+        rollout(torch.zeros(1, 3), [hand_mesh([], [])], load, Mechanics())
     with pytest.raises(ValueError, match=r"loads have \[100, 200\] steps; give all the same number"):
-        rollout(torch.zeros(2, 3), mesh * 2, [load[0], load[0].until(100)])
+        rollout(torch.zeros(2, 3), mesh * 2, [load[0], load[0].until(100)], Mechanics())

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from palpate.physics.fem.polar import rotations
-from palpate.physics.pbd.body import NORM_GUARD, Body
+from palpate.physics.mesh import NORM_GUARD
+from palpate.physics.pbd.body import Body
 from palpate.physics.pbd.simulation import Stepping
 
 

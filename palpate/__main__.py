@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def summary(name: str) -> str:
-    """First line of a command's description, read without importing the command."""
+    """Return the first line of a command's description, read without importing the command."""
     if name == "export":
         return "A trained network as one ONNX file for `palpate infer --model`."
     spec = importlib.util.find_spec(COMMANDS[name])
@@ -62,7 +62,7 @@ def summary(name: str) -> str:
 
 
 def command() -> None:
-    """The installed command `palpate`."""
+    """Run the installed command `palpate`."""
     enter_door()
     run_door(main)
 

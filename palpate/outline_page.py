@@ -14,7 +14,7 @@ from palpate.data.masks.outlining import OutlineSession
 
 
 class OutlinePage:
-    """Serves the page until it is closed; a notebook shows it in a cell.
+    """Server of the page until it is closed; a notebook shows it in a cell.
 
     Args:
         clip: a video file or a folder of frames.
@@ -60,7 +60,7 @@ class OutlinePage:
 
 
 def _handler(session: OutlineSession, top: str) -> type[BaseHTTPRequestHandler]:
-    """A handler that answers below a secret path alone."""
+    """Return a handler that answers below a secret path alone."""
     asked: dict[str, Callable[..., Any]] = {"cut": session.cut, "follow": session.follow}
 
     class Handler(BaseHTTPRequestHandler):
@@ -92,6 +92,6 @@ def _handler(session: OutlineSession, top: str) -> type[BaseHTTPRequestHandler]:
             self.wfile.write(content)
 
         def log_message(self, format: str, *args: Any) -> None:
-            """Requests are no news."""
+            """Print nothing about requests."""
 
     return Handler

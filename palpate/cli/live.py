@@ -53,7 +53,7 @@ WAITING, UNDECIDED = 1, 16
 
 
 def igtl_server(port: int) -> Any:
-    """A `pyigtl.OpenIGTLinkServer` on this machine.
+    """Return a `pyigtl.OpenIGTLinkServer` on this machine.
 
     Raises:
         ValueError: pyigtl is not installed, or the port can't be opened.
@@ -70,7 +70,7 @@ def igtl_server(port: int) -> Any:
 
 @contextmanager
 def stopped_by_interrupt(source: LiveSource) -> Generator[None]:
-    """While it lasts, the first Ctrl-C stops the source, so that what has been seen is still estimated."""
+    """Let the first Ctrl-C stop the source, so that what has been seen is still estimated."""
 
     def stop(*_: object) -> None:
         source.stop()
@@ -90,11 +90,11 @@ class Live:
     source: str = option(positional=True, metavar="SOURCE")
     """camera's number, address of a stream, video file (played at its own rate), or - for RGB pictures from a pipe"""
     estimator: str | None = option(None, choices=lambda: [*LIVE.entries], needs=("live", "estimates while frames come"))
-    """one that estimates while frames come (default: what --model is for, else network)"""
+    """estimator that estimates while frames come (default: what --model is for, else network)"""
     max_latency: Annotated[float, 1e-3, LARGEST] = option(1.0, metavar="SECONDS")
     """frames that have waited longer are dropped and counted [s]"""
     size: str | None = option(None, metavar="WxH")
-    """of a pipe's pictures [px]"""
+    """size of a pipe's pictures [px]"""
     fps: Annotated[float, 1, LARGEST] | None = None
     """frames a second (default: as the source says; of a pipe 25)"""
     every: Annotated[int, 1, 100] = option(1, metavar="N")
@@ -164,7 +164,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 class JsonLines:
-    """Prints estimates of a source as lines of JSON, and says how late they were.
+    """Printer of a source's estimates as lines of JSON, with their latency.
 
     Args:
         source: whose estimates are printed.
@@ -216,7 +216,7 @@ class JsonLines:
                 server.send_message(StringMessage(line, device_name="palpate"), wait=False)
 
     def summary(self) -> str:
-        """A sentence on frames, latency, and what was lost."""
+        """Return a sentence on frames, latency, and what was lost."""
         if not self._frames:
             return "No frame was estimated."
         seconds = time.monotonic() - self._begun

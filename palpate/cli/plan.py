@@ -46,13 +46,13 @@ class PlanOptions:
     """The scene and the results."""
 
     scene: Path = option(positional=True, metavar="SCENE.yaml")
-    """as configs/scenes/two_curtains.yaml"""
+    """scene, such as configs/scenes/two_curtains.yaml"""
     output: Path = option(metavar="OUT")
     """folder of the results"""
     alpha: Annotated[float, 0, 1] | None = option(None, metavar="A")
-    """0 = the shortest way, 1 = the gentlest"""
+    """weight of deformation against way: 0 = the shortest way, 1 = the gentlest"""
     cache: Path | None = option(None, metavar="DIR")
-    """of simulated presses and road maps (default: presses in OUT)"""
+    """folder of simulated presses and road maps (default: presses in OUT)"""
 
 
 def main(arguments: list[str] | None = None) -> int:

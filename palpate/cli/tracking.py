@@ -70,7 +70,7 @@ class RunLogger(MLFlowLogger):
 
 
 class RunRecord(SaveConfigCallback):
-    """Saves a run's configuration (in every checkpoint, too), and its data's digest."""
+    """Callback that saves a run's configuration (in every checkpoint, too), and its data's digest."""
 
     def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Log settings as parameters, and as configs/1_fit.yaml, configs/2_test.yaml, …; rank 0 alone calls this."""
@@ -98,7 +98,8 @@ class RunRecord(SaveConfigCallback):
 def loggers_of(
     folder: str, tracking: bool, name: str | None, checkpoint: str | None, command: str
 ) -> list[dict[str, Any]]:
-    """Settings of the loggers: CSV in the run folder, where config.yaml goes, too, then MLflow (see `RunLogger`).
+    """Return settings of the loggers: CSV in the run folder, where config.yaml goes, too, then MLflow (see
+    `RunLogger`).
 
     Raises:
         InputError: MLflow's database can't be used.
@@ -117,7 +118,7 @@ def loggers_of(
 
 
 def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:
-    """Id of a checkpoint's run, which gets the name if one is given; none where it isn't in the database."""
+    """Return the id of a checkpoint's run, which gets the name if one is given; None where it isn't in the database."""
     from mlflow import MlflowClient
     from mlflow.exceptions import MlflowException
 
@@ -130,7 +131,7 @@ def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:
 
 
 def tracked(trainer: Trainer) -> list[MLFlowLogger]:
-    """MLflow's loggers of a trainer: none where nothing is tracked."""
+    """Return MLflow's loggers of a trainer; none where nothing is tracked."""
     return [logger for logger in trainer.loggers if isinstance(logger, MLFlowLogger)]
 
 

@@ -68,7 +68,7 @@ WRONG_USE = (UsageError, CheckpointError, UnstableConfiguration, Misconfiguratio
 
 
 class SentenceParser(LightningArgumentParser):
-    """Reports errors in one sentence, without the list of all options."""
+    """Parser that reports errors in one sentence, without the list of all options."""
 
     def parse_path(self, cfg_path: str | os.PathLike[str], *arguments: Any, **options: Any) -> Namespace:
         """Read a configuration file as jsonargparse does, after checking that it can be read."""
@@ -139,7 +139,8 @@ class RunTrainer(Trainer):
 
 
 class RunFiles(Callback):
-    """Checks a checkpoint before it is followed, and writes the files of `fit` and `test` into the run folder.
+    """Callback that checks a checkpoint before it is followed, and writes the files of `fit` and `test` into the run
+    folder.
 
     Args:
         checkpoint: that the command follows; None = a training begins.
@@ -228,7 +229,7 @@ class TrainCLI(LightningCLI):
 
 
 def followed(source: str, target: str, default: Any) -> Callable[[Any, Any], Any]:
-    """Link of a setting to the one that it follows, which refuses another value of its own."""
+    """Return a link of a setting to the one that it follows, which refuses another value of its own."""
 
     def value(leading: Any, given: Any) -> Any:
         plain = given.as_dict() if isinstance(given, Namespace) else given
@@ -272,7 +273,7 @@ def require_usable(config: Namespace, refused: dict[str, tuple[tuple, str]]) -> 
 
 
 def resolved(config: Namespace, command: str, folder: Path, given: str | None = None) -> str | None:
-    """Path of the checkpoint that a command follows, checked; None where a training begins.
+    """Return the path of the checkpoint that a command follows, checked; None where a training begins.
 
     Args:
         config: settings of the command.

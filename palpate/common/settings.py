@@ -25,7 +25,8 @@ shown = _short.repr
 
 
 def sound(value: Any, levels: int = 16, most: int = 100_000) -> bool:
-    """Whether a value read from a file is of a reasonable size, with names in it that stand for others written out.
+    """Return whether a value read from a file is of a reasonable size, with names in it that stand for others written
+    out.
 
     Args:
         levels: of lists and mappings within each other.
@@ -43,7 +44,7 @@ def sound(value: Any, levels: int = 16, most: int = 100_000) -> bool:
 
 
 def fits(value: Any, kind: Any) -> bool:
-    """Whether a value read from JSON is of a kind.
+    """Return whether a value read from JSON is of a kind.
 
     Args:
         kind: an annotation (float takes whole numbers, but nothing that is not finite; tuple takes lists), a range of
@@ -72,7 +73,7 @@ def fits(value: Any, kind: Any) -> bool:
 
 
 def described(kind: Any) -> str:
-    """An annotation in words, for a sentence that asks for such a value."""
+    """Return an annotation in words, for a sentence that asks for such a value."""
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         return " or ".join(map(described, inner))
@@ -122,7 +123,7 @@ class Checked:
 
 @functools.cache
 def _constraints(kind: type[Any]) -> list[tuple[str, Any, Any]]:
-    """Names of a class's fields that are choices or limited numbers, their kinds, and ends of the latter."""
+    """Return names of a class's fields that are choices or limited numbers, their kinds, and ends of the latter."""
     plain, found = get_type_hints(kind), []
     for name, each in get_type_hints(kind, include_extras=True).items():
         parts = each, *get_args(each)

@@ -37,13 +37,14 @@ class PressCurve:
     """Shape [S] [J]."""
 
     def work_at(self, lengths: np.ndarray) -> np.ndarray:
-        """Work of presses so long [m], shape as given [J]; beyond the end no more is done."""
+        """Return the work of presses so long [m], shape as given [J]; beyond the end no more is done."""
         return np.interp(lengths, self.lengths, self.work)
 
 
 @lru_cache(maxsize=8)
 def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:
-    """A block's skin, fine enough for a patch of that radius, in its own frame, and what of it is held [N, 3]."""
+    """Return a block's skin, fine enough for a patch of that radius, in its own frame, and what of it is held [N,
+    3]."""
     from palpate.estimators.palpation.skin import cover  # takes a second, and cached presses need none of it
     from palpate.physics.fem import box, make_solid
 

@@ -28,7 +28,7 @@ SHAPE_SD, WORK_SD = 0.45, 0.56
 
 
 def unit_press(poisson: float) -> np.ndarray:
-    """A tip's press by a radius of 1 m and E = 1 Pa: depth [m], force [N] and work [J], shape [3, S]."""
+    """Return a tip's press by a radius of 1 m and E = 1 Pa: depth [m], force [N] and work [J], shape [3, S]."""
     found = simulate_press(replace(BLOCK, poisson=poisson), RADIUS, np.array([-BLOCK.size[0] / 2, 0.0]), 0.0)
     # So many that the energy, which is interpolated as the force is, is off by little.
     depth = np.linspace(0, found.lengths[-1], 81) / RADIUS
@@ -59,7 +59,8 @@ class PressingCosts:
         return ndimage.map_coordinates(self.known["values"], cells.T, order=1, mode="nearest").astype(float)
 
     def loads(self, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force [N], infinite where it is not known, and stored energy [J] with the tip at places [M, 3], shapes [M].
+        """Return the force [N], infinite where it is not known, and stored energy [J] with the tip at places [M, 3],
+        shapes [M].
 
         Both are for E = 1 Pa.
         """
@@ -84,7 +85,8 @@ class PressingCosts:
         return force, energy
 
     def along(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places [M, 3] [m] on lines [K, 3] → [K, 3], ends included, and which of them is each line's first, [K]."""
+        """Return places [M, 3] [m] on lines [K, 3] → [K, 3], ends included, and which of them is each line's first,
+        [K]."""
         # Distance of places along an edge, over the radius.
         counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / (0.25 * self.radius)).astype(int) + 2
         begin = np.cumsum(counts) - counts
@@ -93,7 +95,8 @@ class PressingCosts:
         return starts[line] + share[:, None] * (ends - starts)[line], begin
 
     def edges(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Work along lines [K, 3] → [K, 3] and the largest force, for E = 1 Pa, shapes [K] [J] and [K] [N]."""
+        """Return the work along lines [K, 3] → [K, 3] and the largest force, for E = 1 Pa, shapes [K] [J] and [K]
+        [N]."""
         tips, begin = self.along(starts, ends)
         force, energy = self.loads(tips)
         changes = np.abs(np.diff(energy, prepend=0.0))
@@ -108,17 +111,18 @@ class PressingCosts:
         return np.where(over, np.inf, np.round(MILLI * self.scene.young * work, DIGITS))
 
     def price(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Costs of lines [K, 3] → [K, 3], of those that cost the same the shorter a little less, shape [K]."""
+        """Return costs of lines [K, 3] → [K, 3], shape [K]; of lines that cost the same the shorter costs a little
+        less."""
         way = MILLI * np.linalg.norm(ends - starts, axis=1)
         return weighed(self.scene.alpha, self.deformation(*self.edges(starts, ends)), way) + TIE * way
 
     def plan(self, places: np.ndarray) -> Plan:
-        """Cost of a way, its places [P, 3] given."""
+        """Return the cost of a way, its places [P, 3] given."""
         begun, ended = MILLI * self.scene.young * self.loads(places[[0, -1]])[1]
         deformation = self.deformation(*self.edges(places[:-1], places[1:])).sum() + (ended - begun) / 2
         return Plan.of(places, float(deformation), self.scene.alpha)
 
     def interval(self, plan: Plan) -> tuple[float, float]:
-        """The 90 % interval of a way's cost; its deformation is log-normal."""
+        """Return the 90 % interval of a way's cost; its deformation is log-normal."""
         share, spread = self.scene.alpha * plan.deformation, self.work_spread
         return plan.cost - share * (1 - 1 / spread), plan.cost + share * (spread - 1)

@@ -24,7 +24,8 @@ NODES, NEIGHBOURS, JOINED = 3000, 12, 40
 
 
 def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
-    """A scene's costs with its road map, and whether that was found in the folder; otherwise it is made and kept.
+    """Return a scene's costs with its road map, and whether that was found in the folder; otherwise it is made and
+    kept.
 
     Raises:
         InputError: the mesh can't be used, or start, goal or port lie far from it.
@@ -53,7 +54,7 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
 
 
 def plan_in_space(costs: PressingCosts) -> Plan:
-    """The cheapest way found.
+    """Find the cheapest way.
 
     Raises:
         Blocked: no way keeps below the limit.
@@ -72,7 +73,7 @@ def plan_in_space(costs: PressingCosts) -> Plan:
 
 
 def _moved(costs: PressingCosts, places: np.ndarray) -> np.ndarray:
-    """A way of places [P, 3], each of its lines halved, with places moved to where that lowers the cost."""
+    """Return a way of places [P, 3] with each line halved, and with places moved to where that lowers the cost."""
     draws = np.random.default_rng(0)
     halved = np.linspace(0, len(places) - 1, 2 * len(places) - 1)
     way = np.stack([np.interp(halved, np.arange(len(places)), each) for each in places.T], axis=1)
@@ -88,7 +89,8 @@ def _moved(costs: PressingCosts, places: np.ndarray) -> np.ndarray:
 
 
 def _made(scene: SpaceScene) -> dict[str, Any]:
-    """Content of the file: the arguments of costs, places [N, 3] [m], pairs of them [E, 2] and their `edges` [2, E]."""
+    """Return the content of the file: the arguments of costs, places [N, 3] [m], pairs of them [E, 2] and their `edges`
+    [2, E]."""
     known = measure(Path(scene.mesh), scene.unit, scene.tip_radius) | {"press": unit_press(scene.poisson)}
     costs = PressingCosts(scene, known)
     around = 8 * scene.tip_radius * np.array([[-1.0], [1.0]])

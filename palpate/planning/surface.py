@@ -14,7 +14,7 @@ from palpate.data.source.layout import InputError
 
 
 def _read(path: Path, unit: str) -> Any:
-    """A mesh of trimesh, in metres; raises as `measure`."""
+    """Read a mesh of trimesh, in metres; raises as `measure`."""
     import trimesh
 
     try:
@@ -36,7 +36,7 @@ def _read(path: Path, unit: str) -> Any:
 
 
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
-    """Signed distances from a closed surface on a grid that goes on two radii of the tip beyond its box.
+    """Measure signed distances from a closed surface on a grid that goes on two radii of the tip beyond its box.
 
     The body is all that the outside can't reach, so that triangles within it, of hollows and of bodies that overlap,
     don't count, and the way that triangles face only where it is thinner than a few steps. Close to the surface

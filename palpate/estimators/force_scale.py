@@ -42,7 +42,7 @@ class ClipLength:
     log_sd: float = 0.0
     """Standard deviation of the logarithm of `metres`."""
     by: str = ""
-    """By what `metres` is known, or why it isn't where that is worth saying."""
+    """Source of `metres`, or the reason why it isn't known where that is worth saying."""
 
     @classmethod
     def of(cls, clip: ClipStream) -> "ClipLength":
@@ -85,7 +85,7 @@ class PressedRun:
     expected: np.ndarray | None
     """Covariance of φ by which the verdict is given, shape [3, 3]."""
     explained: bool
-    """Whether the model explains the motion."""
+    """True if the model explains the motion."""
 
     @classmethod
     def of(cls, run: InteractionEstimate) -> "PressedRun | None":
@@ -99,7 +99,7 @@ class PressedRun:
         return cls(run.onset_frame, run.onset_time_s, end, *known)
 
     def pressing(self, times: np.ndarray) -> np.ndarray:
-        """Whether the force acts at some times, shape as given, bool."""
+        """Return whether the force acts at some times, shape as given, bool."""
         return (times >= self.begin - 1e-9) & (times < self.end - 1e-9)
 
 
@@ -108,18 +108,18 @@ class ForceScale:
     """The scale that turns estimates of a clip into newtons."""
 
     log: float
-    """g: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
+    """Logarithm g of the scale: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
     variance: float
     """Variance of g."""
     homogeneous: str
     """The property that contacts share, MASS or STIFFNESS."""
     source: str
-    """Where the scale comes from, in words."""
+    """Source of the scale, in words."""
     used: dict[int, float]
     """Weight in g of every run of this clip that determined it, by the number of its first frame."""
 
     def of(self, run: PressedRun, length: ClipLength) -> "Physical":
-        """A run in physical units."""
+        """Convert a run to physical units."""
         to_physical = np.eye(3) + EXPONENTS[self.homogeneous]
         metric = length.metres is not None
         mean = to_physical @ run.logs + self.log
@@ -153,7 +153,7 @@ class Physical:
     expected: np.ndarray | None
     """Covariance of `logs` by which the verdict is given, shape [3, 3]."""
     metric: bool
-    """Whether stiffness and damping are per metre."""
+    """True if stiffness and damping are per metre."""
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -174,7 +174,7 @@ KnownPress = tuple[int, float, float]
 
 
 def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], source: str) -> ForceScale:
-    """Scale from forces that are known in some runs.
+    """Return the scale from forces that are known in some runs.
 
     Args:
         runs: the runs of a clip.
@@ -210,7 +210,7 @@ def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], source:
 
 
 def measured_presses(runs: Sequence[PressedRun], measured: KnownForce) -> list[KnownPress]:
-    """Forces of the runs that were measured, as `scale_by_force` takes them.
+    """Return forces of the runs that were measured, as `scale_by_force` takes them.
 
     The model's force is constant while it acts, so a run's force is the mean of the measurements in that time.
     """
@@ -224,7 +224,7 @@ def measured_presses(runs: Sequence[PressedRun], measured: KnownForce) -> list[K
 
 
 def scale_by_stiffness(value: float, log_sd: float, length: ClipLength, source: str) -> ForceScale:
-    """Scale from the stiffness k_s that the tissue has at all contacts.
+    """Return the scale from the stiffness k_s that the tissue has at all contacts.
 
     Args:
         value: k_s [N/m].

@@ -66,12 +66,12 @@ class ModelEstimator(Estimator):
         self.model = model
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Preparation as in the model's training, with the user's choices."""
+        """Return preparation as in the model's training, with the user's choices."""
         return preparation_settings(self.model, chosen)
 
 
 def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSettings:
-    """How frames are prepared for a model: as in its training, with the user's choices.
+    """Return the preparation of frames for a model: as in its training, with the user's choices.
 
     Raises:
         ModelFileError: the metadata holds settings that this program does not know, or names a model file.
@@ -124,7 +124,7 @@ def check_sources(settings: PrepareSettings) -> None:
 
 
 def section(model: ExportedModel, name: str, kind: type[Settings], values: Mapping[str, Any] | None = None) -> Settings:
-    """One section of the model's metadata as its dataclass.
+    """Read a section of the model's metadata as its dataclass.
 
     Args:
         values: the fields to use instead of the section's own.

@@ -26,29 +26,29 @@ OBLIQUE = (
 
 
 def view_angle(contact: Interaction) -> float:
-    """Angle between a contact's direction, either way, and the camera's ray through it [degrees]."""
+    """Return the angle between a contact's direction, either way, and the camera's ray through it [degrees]."""
     ray, direction = (np.asarray(v, np.float64) for v in (contact.mesh.vertices[contact.vertex], contact.direction))
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(ray, direction)), np.abs(ray @ direction))))
 
 
 def is_oblique(estimate: PressResult) -> bool:
-    """Whether the estimate's contact is pressed so far from the line of sight that its dent may hide itself."""
+    """Return whether the contact is pressed so far from the line of sight that its dent may hide its own bottom."""
     angle = estimate.course.view_angle
     return angle is not None and angle > LARGEST_ANGLE
 
 
 def effective_misfit(estimate: PressResult) -> float:
-    """The estimate's misfit, or that of the expected hidden error of an oblique contact where it is larger."""
+    """Return the estimate's misfit, or that of the expected hidden error of an oblique contact where it is larger."""
     return max(estimate.misfit, HIDDEN_ERROR / estimate.noise) if is_oblique(estimate) else estimate.misfit
 
 
 def remark(estimate: PressResult) -> str:
-    """A sentence on an oblique contact, empty for any other."""
+    """Return a sentence on an oblique contact, empty for any other."""
     return OBLIQUE.format(estimate.course.view_angle) if is_oblique(estimate) else ""
 
 
 def widened(estimate: PressResult, misfit: float, box: np.ndarray) -> PressResult:
-    """The estimate and its verdict with the covariance of a noise `misfit` times as large, within the box, added.
+    """Add the covariance of a noise `misfit` times as large, within the box, to the estimate and its verdict.
 
     Args:
         misfit: in units of the estimate's noise.

@@ -1,4 +1,4 @@
-"""Young's modulus as a palpation left it, and what moduli there are; apart, so that a plan need load nothing else."""
+"""Young's modulus as a palpation left it; a module of its own, so that a plan loads nothing else."""
 
 import math
 from pathlib import Path
@@ -9,11 +9,12 @@ from palpate.data.source.layout import InputError, read_mapping
 from palpate.physics.identifiability import NINETY
 
 YOUNG = 1.0, 1e12
-"""What there is of Young's moduli [Pa]."""
+"""Range of Young's moduli [Pa]."""
 
 
 def palpated_young(path: Path) -> tuple[float, float]:
-    """E [Pa] and the standard deviation of its logarithm from calibration.json of `palpate calibrate`.
+    """Read Young's modulus [Pa] and the standard deviation of its logarithm from calibration.json of `palpate
+    calibrate`.
 
     Raises:
         InputError: the file tells neither.

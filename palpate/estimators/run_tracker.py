@@ -42,13 +42,14 @@ class Run:
         self.contact = math.nan
         """Largest probability of contact so far."""
         self.hovered = False
-        """Whether the tool was found to hover within the run or right after it."""
+        """True if the tool was found to hover within the run or right after it."""
         self.undecided = False
-        """Whether the run begins or goes on in a frame where contact is not decided."""
+        """True if contact is undecided in a frame of the run."""
         self.builder: InteractionBuilder | None = None
         """Builder of the interaction from its observations; None where the onset was not observed."""
         self.lit = rest_light is not None
-        """Whether its light is compared with that at rest; it may be a pull, then, as nothing else is measured."""
+        """True if the run's light is compared with that at rest; it may be a pull, then, as nothing else is
+        measured."""
         self.note(first)
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
@@ -65,7 +66,7 @@ class Run:
 
     @property
     def passed(self) -> bool:
-        """Whether the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
+        """True if the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
         return self.hovered and not self.undecided and not self.contact >= CERTAIN
 
     def add(self, current: PreparedFrame) -> None:
@@ -76,13 +77,13 @@ class Run:
             self.builder.add(current)
 
     def estimate(self, **results) -> InteractionEstimate:
-        """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
+        """Return the run's record, with the results of an estimator as fields of `InteractionEstimate`."""
         load = None if self.builder is None else self.builder.load_seconds
         return InteractionEstimate(self.index, self.number, self.time_s, load, **results, instrument=self.instrument)
 
     @property
     def unobserved(self) -> str:
-        """Why nothing can be estimated of a run without observations, or without contact."""
+        """Reason why nothing can be estimated of a run without observations, or without contact."""
         if self.passed:
             return PASSED
         if self.builder is None:
@@ -92,7 +93,7 @@ class Run:
 
 
 class RunTracker:
-    """Follows a clip's runs of contact.
+    """Tracker of a clip's runs of contact.
 
     Args:
         clip: the clip.

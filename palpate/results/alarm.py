@@ -23,7 +23,7 @@ NO_CONTACT = "no_contact"
 
 @dataclass
 class ForceAlarm:
-    """Takes the frames of a clip in order and says of each whether the force is above a limit.
+    """Alarm that takes the frames of a clip in order and tests whether the force is above a limit.
 
     A crossing that is missed costs (1 - raised)/raised times what a false alarm does, where `raised` is chosen well.
 
@@ -50,7 +50,7 @@ class ForceAlarm:
         self.end_run()
 
     def end_run(self) -> None:
-        """The run of contact has ended; the next frame in contact is the onset of another."""
+        """Forget the run of contact, which has ended; the next frame in contact is the onset of another."""
         self._onset, self._above = np.nan, False
 
     def watch(
@@ -65,7 +65,7 @@ class ForceAlarm:
         return None if force is None else float(ndtr(math.log(abs(force.value) / self.limit) / force.log_sd))
 
     def push(self, time_s: float, contact: bool | None, probability: float | None) -> str:
-        """The state of the next frame: BELOW, ABOVE or UNKNOWN, and empty where nothing touches the tissue.
+        """Return the state of the next frame: BELOW, ABOVE or UNKNOWN, and empty where nothing touches the tissue.
 
         An alarm outlasts frames whose force is unknown within its run of contact.
 
@@ -85,7 +85,7 @@ class ForceAlarm:
         return state
 
     def record(self) -> dict[str, Any]:
-        """Entry of run.json: the limit, the number of alarms, and the number of frames of each state."""
+        """Return the entry of run.json: the limit, the number of alarms, and the number of frames of each state."""
         frames = {state: self.frames[state] for state in (NO_CONTACT, BELOW, ABOVE, UNKNOWN)}
         given = {"limit": self.limit, "unit": self.unit, "raised": self.raised, "cleared": self.cleared}
         return given | {"alarms": self.alarms, "frames": frames}

@@ -40,6 +40,7 @@ def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: 
 
 
 def colors(logs: np.ndarray) -> np.ndarray:
-    """RGB of relative stiffness from -1 (soft, blue) to 1 (stiff, red), beyond that as at the ends, shape [F, 3]."""
+    """Return RGB colours of relative stiffness from -1 (soft, blue) to 1 (stiff, red), beyond that as at the ends,
+    shape [F, 3]."""
     share = np.clip(logs, -1, 1)[:, None]
     return np.where(share > 0, MIDDLE + share * (STIFF - MIDDLE), MIDDLE - share * (SOFT - MIDDLE))

@@ -26,7 +26,7 @@ class Inference:
     output: Path = option(metavar="DIR")
     """folder of the results, one folder a clip"""
     estimator: str | None = option(None, choices=lambda: [*ESTIMATORS.entries])
-    """what estimates (default: what --model is for, else network)"""
+    """estimator (default: what --model is for, else network)"""
     jobs: Annotated[int, 1, MOST_THREADS] = option(1, metavar="N")
     """clips at once, each in a process of its own with its share of the threads"""
     overwrite: bool = False
@@ -43,7 +43,7 @@ class Forces:
     """Physical units."""
 
     force_scale: Path | None = option(None, metavar="FILE|TOPIC", needs=("tells_theta", "a force"))
-    """what is known in newtons: a table of forces (.csv, columns time_s, force_N), the topic of forces in bags
+    """source of newtons: a table of forces (.csv, columns time_s, force_N), the topic of forces in bags
     (geometry_msgs/WrenchStamped), or a YAML file of a force, a stiffness or a palpation (docs/forces.md). Gives k_s,
     k_d and F in physical units (calibrated.csv), the force of contacts over time (forces.json)"""
     shaft_diameter: Annotated[float, 1, 30] | None = option(None, metavar="MM")

@@ -36,17 +36,17 @@ class Outcome:
 
     @classmethod
     def of(cls, name: str, state: str, folder: Path) -> Self:
-        """Outcome of a clip with results in a folder."""
+        """Return the outcome of a clip with results in a folder."""
         return cls(name, state, str(folder), counts_of(read_record(folder)), _contacts(folder))
 
 
 def wording(error: Exception) -> str:
-    """An error's message in this program's words."""
+    """Return an error's message in this program's words."""
     return in_options(str(error)) or type(error).__name__
 
 
 def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
-    """Counts of a clip for the closing table: runs of contact by verdict, then frames by verdict or status."""
+    """Return counts of a clip for the closing table: runs of contact by verdict, then frames by verdict or status."""
     contacts = {f"{plural(count, 'contact')} {name}": count for name, count in record.get("contacts", {}).items()}
     frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
     verdicts = record.get("verdicts", {})
@@ -56,12 +56,13 @@ def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
 
 
 def plural(count: int, noun: str) -> str:
-    """The noun, in the plural unless the count is one."""
+    """Return the noun, in the plural unless the count is one."""
     return noun if count == 1 else f"{noun}s"
 
 
 def _contacts(folder: Path) -> list[tuple[str, ...]]:
-    """Lines of the table of estimates: number and first frame, what is determined, and verdict of every contact."""
+    """Return lines of the table of estimates: number and first frame, what is determined, and verdict of every
+    contact."""
     if not (folder / RESULTS).is_file():
         return []  # a sequence
     return [

@@ -22,7 +22,8 @@ _FONT = cv2.FontFace("sans")
 
 
 def canvas_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Width and height of the overlay for source frames of `size`: even, as H.264 needs, and wide enough for text."""
+    """Return the width and height of the overlay for source frames of `size`: even, as H.264 needs, and wide enough for
+    text."""
     factor = max(1, -(-480 // size[0]))
     return (size[0] * factor + 1) // 2 * 2, (size[1] * factor + 1) // 2 * 2
 
@@ -73,7 +74,7 @@ def _outline(canvas: np.ndarray, labels: np.ndarray, label: int, color: Color) -
 
 
 def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) -> None:
-    """Ring at the contact point, and the force arrow that ends there."""
+    """Draw a ring at the contact point, and the force arrow that ends there."""
     scale, touch = canvas.shape[0] / 480, estimate.touch
     if touch.arrow is not None:
         tail, tip = (tuple(round((value + 0.5) * factor) for value in point) for point in touch.arrow)
@@ -99,7 +100,7 @@ def panel_corner(labels: np.ndarray | None, before: tuple[int, int] = (0, 0)) ->
 
 
 def _panel(canvas: np.ndarray, estimate: FrameEstimate, corner: tuple[int, int]) -> None:
-    """Two lines in a corner: the verdict in words, and numbers or why there are none."""
+    """Draw two lines in a corner: the verdict in words, and numbers or why there are none."""
     height, width = canvas.shape[:2]
     scale = min(height / 480, width / 640)
     size, step, pad = max(11.0, 15 * scale), max(15.0, 21 * scale), max(6, round(10 * scale))
@@ -121,7 +122,7 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate, corner: tuple[int, int])
 
 
 def _second_line(estimate: FrameEstimate) -> str:
-    """Numbers of the frame with their units, else why there are none."""
+    """Return numbers of the frame with their units, else why there are none."""
     press, field = estimate.estimate, estimate.field
     if field is not None and field.verdict != "undetermined":
         return f"Stiffness against stretch, relative: red {RANGE:g} times the median, blue a {RANGE:g}th."
@@ -134,7 +135,7 @@ def _second_line(estimate: FrameEstimate) -> str:
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
-    """Frame and time at the lower left, the notice at the lower right."""
+    """Draw frame and time at the lower left, the notice at the lower right."""
     height, width = canvas.shape[:2]
     size = max(10.0, 13 * min(height / 480, width / 640))
     bar = round(size * 1.9)
@@ -160,12 +161,12 @@ def text(
 
 
 def text_width(string: str, size: float, *, bold: bool = False) -> int:
-    """Width of one line [px]."""
+    """Return the width of one line [px]."""
     return cv2.getTextSize((1, 1), _drawable(string), (0, 0), _FONT, round(size), 650 if bold else 400)[2]
 
 
 def wrap_text(string: str, width: float, size: float) -> list[str]:
-    """A text in lines of at most `width` px, broken between words, and within longer ones such as paths."""
+    """Wrap a text into lines of at most `width` px, broken between words, and within longer ones such as paths."""
     count = max(1, int(50 * width / text_width("n" * 50, size)))
     lines = textwrap.wrap(string, count)
     while count > 1 and max((text_width(line, size) for line in lines), default=0) > width:
@@ -182,5 +183,5 @@ def shade(image: np.ndarray, corner: tuple[int, int], size: tuple[int, int], opa
 
 
 def _drawable(string: str) -> str:
-    """Text without the stand-ins for bytes of file names that are not UTF-8, which OpenCV refuses."""
+    """Return a text without the stand-ins for bytes of file names that are not UTF-8, which OpenCV refuses."""
     return string.encode("utf-8", "replace").decode()

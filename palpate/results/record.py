@@ -49,7 +49,7 @@ PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 
 
 def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> dict[str, Any]:
-    """Dependencies of a clip's results: hashes of files, settings, and the code.
+    """Return dependencies of a clip's results: hashes of files, settings, and the code.
 
     Those with the same digest, the record's `fingerprint`, need not be computed again.
     """
@@ -71,12 +71,12 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
 
 
 def model_of(estimator: Estimator) -> ExportedModel | None:
-    """The estimator's network, where it has one."""
+    """Return the estimator's network, where it has one."""
     return getattr(estimator, "model", None)
 
 
 def head_of(kind: str, causes: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries of run.json for any results: what they are, and what they depend on."""
+    """Return entries of run.json for any results: what they are, and what they depend on."""
     return {
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
@@ -95,7 +95,7 @@ def build_record(
     results: ClipResults,
     seconds: Mapping[str, float],
 ) -> dict[str, Any]:
-    """The content of `run.json`.
+    """Return the content of `run.json`.
 
     Args:
         clip: the clip, read to its end.
@@ -150,7 +150,7 @@ def build_record(
 def warnings_of(
     source: FrameSource, frames: Sequence[FrameEstimate], model: ExportedModel | None, sources: Mapping[str, str]
 ) -> list[str]:
-    """Warnings about a clip, one sentence each: damage to it, doubtful masks or intervals.
+    """Return warnings about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
     Args:
         source: the clip.
@@ -185,7 +185,8 @@ def warnings_of(
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, or of a folder's files with their names; hidden ones and our own results don't count.
+    """Return the SHA-256 of a file, or of a folder's files with their names; hidden ones and our own results don't
+    count.
 
     Of a folder's files that are too large to be pictures, size and time of change count instead of the content.
 
@@ -210,12 +211,13 @@ def sha256_of(path: Path) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _file_sha256(path: Path, size: int, changed: int) -> str:
-    """Digest of a file's content; size and time of change only keep a changed file from being remembered."""
+    """Return the digest of a file's content; size and time of change only keep a changed file from being remembered."""
     return file_sha256(path)
 
 
 def _named_files(settings: PrepareSettings) -> dict[str, str]:
-    """Hashes of the files outside the clip that the settings name, and of the YAML files next to their models."""
+    """Return hashes of the files outside the clip that the settings name, and of the YAML files next to their
+    models."""
     depth = settings.depth
     named = {"depth.source": depth.source, "depth.model": depth.model, "depth.preset": depth.preset}
     named |= {"masks": settings.masks, "camera": settings.layout.camera}
@@ -226,7 +228,7 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Versions of this program and of the packages that the numbers depend on."""
+    """Return versions of this program and of the packages that the numbers depend on."""
     packages = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
     found = {name: item.version for name in packages for item in distributions(name=name)}
     return found | {"python": platform.python_version(), "preprocessing": str(PREPROCESSING_VERSION)}

@@ -38,7 +38,7 @@ PARTICLES = "particles.csv"
 
 
 def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
-    """Dependencies of a sequence's results: hashes of all its files, the estimator's settings, and the code.
+    """Return dependencies of a sequence's results: hashes of all its files, the estimator's settings, and the code.
 
     Raises:
         OSError: a file can't be read.
@@ -132,7 +132,7 @@ class SequenceClip:
 
 
 def _numbers(field: ParticleField) -> dict[str, Any]:
-    """Columns of a frame, those of how much is known first."""
+    """Return the columns of a frame, those of how much is known first."""
     found = values_of(field.numbers)
     return {name: found[name] for name in sorted(found, key=lambda name: "stiffness" in name)}
 

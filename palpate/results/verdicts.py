@@ -104,7 +104,7 @@ def rounded(value: float, half: float) -> str:
 
 
 def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return symbol, text and unit of every parameter, as sure as the verdict lets it be.
+    """Return the symbol, text and unit of every parameter, as sure as the verdict lets it be.
 
     With half its 90 % interval after ± where it is determined, else the interval, and a dash where there is none.
     Ratios are given where only they, or one of them, are determined; a model that doesn't say what is gets two digits.

@@ -25,7 +25,7 @@ from palpate.results.verdicts import state
 
 
 class ClipResults:
-    """Gathers one clip's results in a hidden folder next to the final one, and moves it there when all is done.
+    """Results of one clip, gathered in a hidden folder next to the final one, and moved there when all is done.
 
     Use as a context manager; leaving it without `finish` removes what was written and leaves earlier results alone.
 
@@ -64,7 +64,7 @@ class ClipResults:
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
         self.stretched = False
-        """Whether tissue has anywhere stretched with an instrument."""
+        """True if tissue has stretched anywhere with an instrument."""
         self.lag = 0.0
         """The largest of the contacts' lags [levels of 8 bits]."""
         self._open = ExitStack()
@@ -146,7 +146,7 @@ class ClipResults:
                 self.alarm.frames.update({BELOW: -1, UNKNOWN: 1})
 
     def calibrate(self, length: ClipLength) -> None:
-        """Say in millimetres and newtons what was added, once all of it has been."""
+        """Convert what was added into millimetres and newtons, once all of it has been."""
         self.length = length
         if self.calibration is not None:
             self.calibration.conclude(length)

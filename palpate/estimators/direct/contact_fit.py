@@ -115,11 +115,11 @@ than the second: 16 patches of validation clips gave 23 and more, with misfits f
 ASIDE = 2
 """Farthest vertex to which a contact is moved, along an axis [grid pixels]."""
 NARROW = 0.1
-"""Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
+"""Standard deviation of log θ below which a posterior counts as normal and is not sampled."""
 
 
 def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
-    """Optima of a sequence's fit, the best first; the problem has looked at that one.
+    """Return the optima of a sequence's fit, the best first; the problem has looked at that one.
 
     Args:
         problem: the depth-change sequence.
@@ -140,7 +140,7 @@ def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
 
 
 def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
-    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as in `field_optima`."""
+    """Return the posterior around the optima of a sequence's fit, with its verdict; `tissue` as in `field_optima`."""
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
@@ -212,7 +212,8 @@ def recentred(problem: JointLikelihood, logs: np.ndarray) -> tuple[Interaction, 
 
 
 def field_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
-    """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
+    """Return parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S,
+    D].
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
     """
@@ -263,7 +264,7 @@ def raced(problem: JointLikelihood, starts: np.ndarray, box: np.ndarray) -> np.n
 
 
 def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> Mixture:
-    """Where the first draws of a posterior come from: around its optima, and as many from its tails.
+    """Return the mixture of a posterior's first draws: half of them around its optima, half in its tails.
 
     Args:
         optima: at least one; D parameters.
@@ -284,7 +285,7 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
 def _sample_field(
     problem: JointLikelihood, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float
 ) -> Draws:
-    """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
+    """Return the posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
     motion, depth = problem.motion, problem.first
     error = motion.finer(best.logs) - motion.quick(best.logs)

@@ -96,7 +96,8 @@ class DirectEstimator(Estimator):
         return super().described | model
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Smoothed tissue, the camera's motion subtracted, and otherwise what the user chooses."""
+        """Return the preparation: smoothed tissue, the camera's motion subtracted, and otherwise what the user
+        chooses."""
         return chosen.without_model(self.settings.smoothing)
 
     def start(self, clip: ClipInfo) -> "DirectSession":
@@ -117,7 +118,7 @@ class DirectSession(RunSession):
         self._within = onset_error(settings.onset, clip.fps)
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
-        """The next frame."""
+        """Take the next frame."""
         yield from self._ended(self._pushed(frame))
         self._follow(frame)
         yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)
@@ -156,7 +157,8 @@ class DirectSession(RunSession):
 
 
 def simulated_motion(contact: Interaction, found: PressResult, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
-    """Times from the first frame in contact to the last observation [s], and the motion along the force, [T] each."""
+    """Return times from the first frame in contact to the last observation [s], and the motion along the force, [T]
+    each."""
     delay = found.course.delays[0]
     steps = contact.steps + math.ceil(max(-delay, 0.0) / mechanics.time_step)
     press = fitted_press(contact, found, mechanics.time_step, steps)
@@ -168,7 +170,7 @@ def simulated_motion(contact: Interaction, found: PressResult, mechanics: Mechan
 
 
 def fitted_press(contact: Interaction, found: PressResult, time_step: float, steps: int) -> Press:
-    """The load of an estimate over so many steps [s] from the beginning of the press, which its delays tell."""
+    """Return the load of an estimate over so many steps [s] from the beginning of the press, by its fitted delays."""
     delay, release = found.course.delays
     seconds = contact.load_seconds + release - delay if contact.released else math.inf
     if found.course.shape is None:
@@ -177,7 +179,7 @@ def fitted_press(contact: Interaction, found: PressResult, time_step: float, ste
 
 
 def doubts(found: PressResult, bounds: Bounds) -> str:
-    """Sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
+    """Return sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
     oblique = remark(found)
     sentences = [oblique] if oblique else []
     if found.refuted:

@@ -39,7 +39,7 @@ class Mixture:
     """Scale matrices (the covariance is FREEDOM/(FREEDOM - 2) times as large), shape [K, D, D]."""
 
     def draw(self, points: np.ndarray) -> np.ndarray:
-        """Points of the unit cube, shape [n, D + 2], as points of the mixture, shape [n, D]."""
+        """Return points of the mixture, shape [n, D], for points of the unit cube, shape [n, D + 2]."""
         component = np.searchsorted(np.cumsum(self.shares)[:-1], points[:, 0], side="right")
         radial = FREEDOM / (2 * gammaincinv(FREEDOM / 2, points[:, 1]))  # freedom over a chi-square variable
         normal = ndtri(points[:, 2:]) * np.sqrt(radial)[:, None]
@@ -58,7 +58,7 @@ class Mixture:
         return shares + constant - log_volume - (FREEDOM + size) / 2 * np.log1p(squares / FREEDOM)
 
     def moved(self, points: np.ndarray, weights: np.ndarray) -> Mixture:
-        """The mixture after one step towards a weighted sample [n, D], [n]; the weights sum to 1."""
+        """Return the mixture after one step towards a weighted sample [n, D], [n]; the weights sum to 1."""
         parts = self.log_densities(points)
         parts = weights[:, None] * np.exp(parts - logsumexp(parts, axis=1, keepdims=True))
         shares = parts.sum(axis=0)
@@ -98,7 +98,7 @@ class Draws:
         return np.einsum("n,ni,nj->ij", self.weights, apart, apart)
 
     def thinned(self, count: int) -> np.ndarray:
-        """`count` equally weighted points [count, D], evenly spread along the sample's widest direction."""
+        """Return `count` equally weighted points [count, D], evenly spread along the sample's widest direction."""
         order = np.argsort(self.points @ np.linalg.eigh(self.covariance)[1][:, -1])
         places = (np.arange(count) + 0.5) / count
         chosen = np.searchsorted(np.cumsum(self.weights[order]), places)
@@ -106,7 +106,7 @@ class Draws:
 
 
 def sample_posterior(log_likelihood: Callable[[np.ndarray], np.ndarray], box: np.ndarray, start: Mixture) -> Draws:
-    """Weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
+    """Return weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
 
     Args:
         log_likelihood: of points inside the box, shapes [n, D] to [n], up to a constant.
@@ -133,7 +133,7 @@ def sample_posterior(log_likelihood: Callable[[np.ndarray], np.ndarray], box: np
 
 
 def _flattened(weights: np.ndarray) -> np.ndarray:
-    """Weights [N] to the largest power up to 1 that makes 40 of them count, or to the smallest one tried.
+    """Return weights [N] to the largest power up to 1 that makes 40 of them count, or to the smallest one tried.
 
     Where fewer count, a flattened posterior guides the mixture. Bounded errors cut jagged pieces out of a posterior,
     and a mixture that jumps to the first piece found misses the others.

@@ -1,4 +1,4 @@
-"""Gathers the motion of tissue points around an instrument over a run of contact, and fits the sheet to it.
+"""Recorder of tissue points around an instrument over a run of contact, and the fit of a sheet to their motion.
 
 Rest is the run's first frame: how the tissue was stretched before is unknown.
 """
@@ -96,7 +96,8 @@ class GripRecorder:
         return PullResult(found, rival, times, force, force_sd)
 
     def _rival_skill(self, seen: np.ndarray, count: int, own: np.ndarray) -> float:
-        """Skill of a grip around the point that moves most far from the tool; -∞ where too little moves there.
+        """Return the skill of a grip around the point that moves most far from the tool; -∞ where too little moves
+        there.
 
         Args:
             seen: points visible in all frames, shape [N], bool.

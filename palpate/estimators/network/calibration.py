@@ -1,4 +1,4 @@
-"""From a trained contact posterior to the model that `infer.py` uses: exported, and calibrated on validation clips.
+"""Export of a trained contact posterior for `infer.py`, and calibration of its intervals on validation clips.
 
     python -m palpate.estimators.network.calibration --weights runs/contact/posterior.pt \
         --output runs/contact/uncalibrated.onnx
@@ -53,7 +53,7 @@ RESULTS, RECORD = "results.jsonl", "run.json"
 
 
 def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
-    """Widths with which the network's intervals have the right coverage, over all suites together.
+    """Return widths with which the network's intervals have the right coverage, over all suites together.
 
     Args:
         rows: results of `benchmarks.recovery`.
@@ -96,7 +96,7 @@ def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str =
 
 
 def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, onset: str = STAMP) -> list[dict]:
-    """Results in some folders, each checked by `check_record`, whose arguments these are.
+    """Return results in some folders, each checked by `check_record`, whose arguments these are.
 
     Raises:
         ValueError: as `check_record` does, or results can't be read.
@@ -113,7 +113,7 @@ def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, ons
 
 
 def metadata(weights: Path) -> dict[str, object]:
-    """Metadata for inference: how clips are prepared, the simulator and the admissible box.
+    """Return the metadata for inference: how clips are prepared, the simulator and the admissible box.
 
     Args:
         weights: file of the network's weights.
@@ -137,7 +137,7 @@ def metadata(weights: Path) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What is exported or calibrated."""
+    """Weights to export, or a model to calibrate."""
 
     output: Path
     """ONNX file to write"""
@@ -148,9 +148,9 @@ class Calibrated:
     validation: tuple[Path, ...] = ()
     """results of benchmarks.recovery --split validation with that file"""
     pressed: tuple[Path, ...] = ()
-    """the same, with --seen press"""
+    """results of benchmarks.recovery with --seen press"""
     between: tuple[Path, ...] = ()
-    """the same, with --suite late-onset --onset between"""
+    """results of benchmarks.recovery with --suite late-onset --onset between"""
 
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together."""
@@ -161,7 +161,7 @@ class Calibrated:
 
 
 def calibration_of(asked: Any) -> Calibration:
-    """Calibration from the results of the benchmark.
+    """Return the calibration from the results of the benchmark.
 
     Raises:
         ModelFileError: the file is no exported posterior.

@@ -60,7 +60,7 @@ class NetworkSettings(PressSettings, ModelSettings):
 
 
 class NetworkEstimator(ModelEstimator):
-    """Runs an exported contact posterior over prepared clips.
+    """Estimator that runs an exported contact posterior over prepared clips.
 
     Args:
         model: the exported network.
@@ -92,7 +92,7 @@ class NetworkEstimator(ModelEstimator):
         return {"name": self.name, **{name: getattr(self.settings, name) for name in names}}
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Preparation as in the model's training, with the user's choices; in fewer frames by the rate fast."""
+        """Return preparation as in the model's training, with the user's choices; in fewer frames by the rate fast."""
         found = super().preparation(chosen)
         return dataclasses.replace(found, every=FAST_EVERY) if self.settings.rate == "fast" else found
 
@@ -101,7 +101,7 @@ class NetworkEstimator(ModelEstimator):
         return NetworkSession(self, clip)
 
     def as_trained(self, contact: Interaction) -> Interaction:
-        """The part of a contact's observation that resembles the training.
+        """Return the part of a contact's observation that resembles the training.
 
         The network was trained on presses of certain lengths, and on their beginnings. A longer press is cut to its
         beginning, a shorter one to its observation before the release.
@@ -120,7 +120,7 @@ class NetworkEstimator(ModelEstimator):
         return contact
 
     def judged(self, contact: Interaction, mechanics: Mechanics, within: float, *outputs: np.ndarray) -> PressResult:
-        """The estimate of a contact from the network's outputs, with how well it explains the motion.
+        """Return the estimate of a contact from the network's outputs, with how well it explains the motion.
 
         Args:
             contact: the observation.
@@ -153,7 +153,7 @@ class NetworkSession(RunSession):
         """Depth windows of the current run with their times since its onset [s], where the model takes windows."""
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
-        """The next frame.
+        """Take the next frame.
 
         Raises:
             ModelFileError: the network gives a number that is not finite.
@@ -172,7 +172,7 @@ class NetworkSession(RunSession):
         yield self._frame(frame, run, depth)
 
     def estimate(self, contact: Interaction, depth: np.ndarray | None) -> PressResult:
-        """Posterior of a contact from its observation.
+        """Return the posterior of a contact from its observation.
 
         Args:
             contact: as `NetworkEstimator.as_trained` gives it.
@@ -222,7 +222,7 @@ class NetworkSession(RunSession):
     def _lengths(
         self, found: PressResult, contact: Interaction, frame: PreparedFrame, builder: InteractionBuilder
     ) -> tuple[float | None, float | None]:
-        """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
+        """Return lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
         steps = round((frame.frame.time_s - builder.start) / self.mechanics.time_step)
         moved = frame.track_position - builder.rest
         observed = finite(float(np.linalg.norm(moved)))
@@ -237,6 +237,6 @@ class NetworkSession(RunSession):
 
 
 def _doubts(found: PressResult) -> str:
-    """Sentences on why the estimate may be wrong."""
+    """Return sentences on why the estimate may be wrong."""
     doubt = "" if found.explained else found.refuted or UNEXPLAINED.format(found.misfit)
     return f"{doubt} {remark(found)}".strip()

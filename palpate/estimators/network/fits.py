@@ -38,7 +38,7 @@ MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 BOUNDS = RECOMMENDED
 """Admissible box of θ, and so the prior."""
 FRAME_S = 1 / FRAME_RATE
-"""Where instants aren't known, a press begins and ends at most this long before or after the time stamps [s]."""
+"""Largest distance of the press's beginning and end from their time stamps, where they aren't known [s]."""
 SCENES = SceneSettings(width=214, height=120)
 """Settings of the scenes from which contacts are drawn."""
 EXPLAINED = 2e-4
@@ -66,7 +66,7 @@ class DepthSequences:
 
 
 class Fitted(NamedTuple):
-    """What explains one contact; other arrays as in `Fits`, without N."""
+    """Parameters that explain one contact; other arrays as in `Fits`, without N."""
 
     logs: np.ndarray
     slopes: np.ndarray
@@ -81,7 +81,7 @@ class Fitted(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Fits(DepthSequences):
-    """N contacts with the PARAMETERS D that explain their motions, as arrays."""
+    """Arrays of N contacts with the PARAMETERS D that explain their motions."""
 
     motion: np.ndarray
     """Motion against the force's direction at the slots, without noise, shape [N, SLOTS] [scene units]."""
@@ -90,7 +90,7 @@ class Fits(DepthSequences):
     slopes: np.ndarray
     """Derivatives of the motion by these parameters at the slots, shape [N, SLOTS, D] [scene units]."""
     loaded: np.ndarray
-    """Whether a slot is under load by the time stamps, shape [N, SLOTS]."""
+    """Mask of the slots under load by the time stamps, shape [N, SLOTS]."""
     around: np.ndarray
     """`Surroundings.vector`, shape [N, 40]."""
     spacing: np.ndarray
@@ -111,20 +111,21 @@ class Fits(DepthSequences):
 
 
 def point_problem(contact: Interaction, within: float = 0.0) -> JointLikelihood:
-    """The motion of a contact's point under all parameters of a press; `within` as in `PressMotion`."""
+    """Return the motion of a contact's point under all parameters of a press; `within` as in `PressMotion`."""
     return JointLikelihood(
         [PointObservation(contact, NOMINAL_NOISE)], functools.partial(PressMotion, contact, MECHANICS, within=within)
     )
 
 
 def motion_slopes(problem: JointLikelihood, logs: np.ndarray) -> np.ndarray:
-    """Derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene units]."""
+    """Return derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene
+    units]."""
     jacobian = NOMINAL_NOISE * problem.jacobian(logs).reshape(-1, 3, len(logs))
     return -np.einsum("tdp,d->tp", jacobian, problem.first.contact.direction)
 
 
 def _explained(problem: JointLikelihood, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """Parameters that explain a motion, from a start [3] or, where that fails, from several; and the RMS residual."""
+    """Fit a motion from a start [3] or, where that fails, from several; return the parameters and the RMS residual."""
     low, high = box = problem.motion.box(BOUNDS.log_box)
 
     def fitted(begin: np.ndarray) -> tuple[float, np.ndarray]:
@@ -144,7 +145,7 @@ CONTACTS_A_SCENE = 8
 
 
 def scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
-    """Contacts of a scene by its settings, seed and `within`; here, where worker processes load no torch."""
+    """Draw contacts of a scene by its settings, seed and `within`; here, where worker processes load no torch."""
     settings, seed, within = task
     return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence=True)
 
@@ -171,7 +172,7 @@ def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """Values [..., 3] padded by zeros for known delays, or values [..., 5] as they are, shape [..., 5]."""
+    """Return values [..., 3] padded by zeros for known delays, or values [..., 5] as they are, shape [..., 5]."""
     return np.concatenate([values, np.zeros((*values.shape[:-1], PARAMETERS - values.shape[-1]))], axis=-1)
 
 
@@ -190,7 +191,7 @@ DELAY_RANGE = 2.0
 
 
 def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of observed motions, shape [B, SLOTS], and the stated noise level of each, [B] [scene units].
+    """Draw errors of observed motions, shape [B, SLOTS], and the stated noise level of each, [B] [scene units].
 
     A part of the samples is rounded like 8-bit depth, the others have Gaussian noise. The rest position has an error of
     its own: it is no single rounded depth, but comes from a surface through many.
@@ -206,7 +207,7 @@ def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.
 
 
 def draw_known(loaded: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Which slots are observed, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
+    """Draw which slots are observed, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
 
     Args:
         loaded: whether a slot is under load, shape [B, SLOTS].
@@ -233,7 +234,7 @@ class Drawn:
 
 
 def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Drawn:
-    """Contacts of the fits with new errors.
+    """Draw contacts of the fits with new errors.
 
     Args:
         fits: contacts with the parameters that explain them.
@@ -271,7 +272,8 @@ def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Dra
 def draw_sequence_errors(
     sequences: DepthSequences, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest surface's.
+    """Draw errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest
+    surface's.
 
     Args:
         sequences: all depth-change sequences.
@@ -312,7 +314,8 @@ def draw_sequence_errors(
 
 @functools.cache
 def smooth_share() -> np.ndarray:
-    """Factor of the covariance that the rest surface's error has in the shapes' amounts, [SHAPES, SHAPES] [σ]."""
+    """Return the factor of the covariance that the rest surface's error has in the shapes' amounts, [SHAPES, SHAPES]
+    [σ]."""
     smooth = dent_shapes().T @ smooth_errors(1.0)
     return np.linalg.cholesky(smooth @ smooth.T + 1e-12 * np.eye(SHAPES))
 
@@ -320,7 +323,8 @@ def smooth_share() -> np.ndarray:
 def sequence_information(
     slopes: np.ndarray, factors: np.ndarray, errors: np.ndarray, noise: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Information [B, D, D] and pull [B, D] of depth-change sequences; slots share the rest surface's error only.
+    """Return the information [B, D, D] and pull [B, D] of depth-change sequences; slots share the rest surface's error
+    only.
 
     Args:
         slopes, factors: those of `DepthSequences`, of B sequences.
@@ -338,7 +342,7 @@ def sequence_information(
 
 
 def without_delays(information: np.ndarray, pull: np.ndarray, delays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Information [B, 3, 3] and pull [B, 3] of φ where the delays are unknown within their range.
+    """Return the information [B, 3, 3] and pull [B, 3] of φ where the delays are unknown within their range.
 
     Args:
         information, pull: those of all parameters, shapes [B, D, D] and [B, D].

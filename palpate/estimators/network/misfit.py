@@ -1,4 +1,4 @@
-"""How far the observation of a contact lies from the simulated motion, in standard deviations, by one rollout.
+"""Distance of a contact's observation from the simulated motion, in standard deviations, by one rollout.
 
 Where a pixel of the grid is one of the picture, the contact's own point is compared. Where it is the mean of several,
 it doesn't show the full depth of a dent's bottom, which is no wider; there the pixels around it are compared, each with
@@ -47,11 +47,12 @@ class _PointComparison:
         self._direction, self._noise = np.asarray(contact.direction, np.float64), contact.noise
 
     def signal(self, path: np.ndarray) -> np.ndarray:
-        """The number that `observed` holds, of simulated displacements [T, M, 3], shape [T]."""
+        """Return the number that `observed` holds, of simulated displacements [T, M, 3], shape [T]."""
         return path[:, 0] @ self._direction
 
     def residual(self, moved: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual of displacements at the compared instants [K, M, 3], shape [L] [σ], and its derivatives [L, D].
+        """Return the residual of displacements at the compared instants [K, M, 3], shape [L] [σ], and its derivatives
+        [L, D].
 
         `rates` are derivatives of the displacements by D parameters, shape [K, M, 3, D].
         """
@@ -97,7 +98,7 @@ _Comparison = _PointComparison | _PixelComparison
 
 
 def _comparison(contact: Interaction) -> _Comparison:
-    """The comparison for a contact: of pixels where there are any, else of the followed point."""
+    """Return the comparison for a contact: of pixels where there are any, else of the followed point."""
     sequence = contact.sequence
     if sequence is not None and len(sequence.times) and sequence.is_finer_than(contact.mesh.grid_shape):
         found = _PixelComparison(contact, sequence)
@@ -107,14 +108,14 @@ def _comparison(contact: Interaction) -> _Comparison:
 
 
 def largest_misfit(count: int) -> float:
-    """Largest root mean square [σ] of so many observations that noise may explain."""
+    """Return the largest root mean square [σ] of so many observations that noise may explain."""
     return max(LARGEST_MISFIT, math.sqrt(2 * float(gammainccinv(count / 2, TAIL_PROBABILITY)) / count))
 
 
 def compared(
     contact: Interaction, mechanics: Mechanics, logs: np.ndarray, covariance: np.ndarray, within: float
 ) -> tuple[float, np.ndarray, bool]:
-    """How far a contact's motion lies from the simulated one, and its information on φ if its instants are known.
+    """Compare a contact's motion with the simulated one, and find its information on φ if its instants are known.
 
     Args:
         contact: with its observation.
@@ -133,7 +134,7 @@ def compared(
     loaded = contact.load_seconds if contact.released else math.inf
 
     def simulated(seconds: float) -> np.ndarray:
-        """Displacements and their derivatives by φ under a press of this duration, shape [T, M, 3, 4]."""
+        """Return displacements and their derivatives by φ under a press of this duration, shape [T, M, 3, 4]."""
         press = dataclasses.replace(contact.load, factor=held(seconds / step, steps))
         path, slopes = simulate_tangent(theta, contact.mesh, press, mechanics, watch=comparison.vertices)
         return np.concatenate([path[..., None], slopes], axis=-1)
@@ -160,7 +161,7 @@ def compared(
 def _best_delays(
     lasting: np.ndarray, comparison: _Comparison, pressed: int, step: float, within: float
 ) -> tuple[float, float]:
-    """Delays of the press's beginning, and of its end where that was observed, that fit best among a few [s].
+    """Return delays of the press's beginning, and of its end where that was observed, that fit best among a few [s].
 
     Motions count as additive: a press that ends is one that lasts, less one that begins when it ends.
 
@@ -189,8 +190,7 @@ def _with_delays(
     within: float,
     prior: np.ndarray,
 ) -> tuple[float, tuple[float, float], bool]:
-    """Root mean square of the residual [σ] with the delays that fit best near some start, these delays [s], and whether
-    the dent is blurred, as in `compared`.
+    """Refine the delays from a start; return the RMS residual [σ], the delays [s], and whether the dent is blurred.
 
     Args:
         lasting: displacements under a press that lasts, and their derivatives by φ, shape [T, M, 3, 4].
@@ -222,7 +222,8 @@ def _with_delays(
 
 
 def _blurred(residual: np.ndarray, slopes: np.ndarray, blurs: np.ndarray, prior: np.ndarray) -> bool:
-    """Whether blurs of the depth [L, K] explain what the noise doesn't, and more than so many parameters by chance."""
+    """Return whether blurs of the depth [L, K] explain the residual beyond noise, and beyond chance for K
+    parameters."""
     count, squares = blurs.shape[1], []
     for part, precision in (slopes, prior), (np.hstack([slopes, blurs]), block_diag(prior, np.eye(count))):
         change = _nearest(residual, part, precision)
@@ -231,12 +232,13 @@ def _blurred(residual: np.ndarray, slopes: np.ndarray, blurs: np.ndarray, prior:
 
 
 def _nearest(residual: np.ndarray, slopes: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Change of D parameters with prior precision [D, D] that makes residuals [L] least, to first order, shape [D]."""
+    """Return the change of D parameters with prior precision [D, D] that makes residuals [L] least, to first order,
+    shape [D]."""
     return -np.linalg.solve(slopes.T @ slopes + prior, slopes.T @ residual)
 
 
 def _lasting(path: np.ndarray, pressed: int) -> np.ndarray:
-    """A path [T, ...] as if the press had not ended after `pressed` steps; 0 = it didn't end."""
+    """Return a path [T, ...] as if the press had not ended after `pressed` steps; 0 = it didn't end."""
     lasting = path.copy()
     for first in range(pressed, len(path), pressed) if pressed else ():
         lasting[first : first + pressed] += lasting[first - pressed : first][: len(path) - first]

@@ -43,7 +43,8 @@ class Made(NamedTuple):
     """Largest error of its instants [s]."""
 
     def observed(self, moved: np.ndarray, noise: float) -> tuple[Interaction, np.ndarray]:
-        """The contact with another motion [N, 3] and σ, and the network's input, without the depth-change sequence."""
+        """Return the contact with another motion [N, 3] and σ, and the network's input, without the depth-change
+        sequence."""
         observation = self.contact.observation.moved(moved, noise)
         contact = self.contact.having(point=observation)
         more = sequence_features(None, self.around.spacing, noise, self.within)
@@ -122,24 +123,24 @@ class SimulatedContacts(ContactData):
             posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
 
     def rough(self, step: int) -> Rough:
-        """A batch of the first stage by its number."""
+        """Return a batch of the first stage by its number."""
         blur = BLUR_SHARES[0] * (BLUR_SHARES[1] / BLUR_SHARES[0]) ** (step / self.settings.rough_steps)
         batch = [self.draw() for _ in range(ROUGH_BATCH)]
         return Rough(np.stack([features for _, features in batch]), [widened(contact, blur) for contact, _ in batch])
 
     def fine(self, step: int) -> fits.Drawn:
-        """A batch of the other stages."""
+        """Return a batch of the other stages."""
         return fits.draw_observed(self.explanations, FINE_BATCH, self.later)
 
     def draw(self) -> tuple[Interaction, np.ndarray]:
-        """A contact with Gaussian noise along the force, and its features."""
+        """Draw a contact with Gaussian noise along the force, and its features."""
         made = self.made[int(self.first.integers(len(self.made)))]
         contact, noise = made.contact, math.exp(self.first.uniform(*np.log(fits.NOISE)))
         error = self.first.normal(0, noise, len(contact.observation))[:, None] * contact.direction
         return made.observed(contact.moved + error, noise)
 
     def explained(self, starts: np.ndarray) -> fits.Fits:
-        """What explains the motions, from starts [N, 3]; those that no parameters explain are left out."""
+        """Fit the motions from starts [N, 3]; motions that no parameters explain are left out."""
         tasks = [(made.contact, start, made.within) for made, start in zip(self.made, starts, strict=True)]
         found = run_shown(fits.fit_sequence, tasks, self.settings.workers, "fits")
         both = zip(self.made, found, strict=True)
@@ -151,21 +152,21 @@ class SimulatedContacts(ContactData):
 
 
 def run_shown(function: Callable[[Any], Any], tasks: list, workers: int | None, name: str) -> list:
-    """Results of tasks in their order (`run_tasks`), with a progress bar."""
+    """Run tasks with a progress bar; return their results in order."""
     with progress_bars(Console()) as progress:
         done = run_tasks(function, tasks, workers, ordered=True)
         return list(progress.track(done, len(tasks), description=name))
 
 
 def widened(contact: Interaction, blur: float) -> Likelihood:
-    """A contact's likelihood, with σ widened by a share (`blur`) of its largest motion."""
+    """Return a contact's likelihood, with σ widened by a share (`blur`) of its largest motion."""
     largest = float(np.linalg.norm(contact.moved, axis=1).max())
     observation = contact.observation.moved(contact.moved, math.hypot(contact.noise, blur * largest))
     return Likelihood(contact.mesh, contact.load, observation, fits.MECHANICS, np.float32)
 
 
 def make_contacts(count: int, seed: int, workers: int | None = None, within: float = 0.0) -> list[SimulatedContact]:
-    """About `count` contacts of many scenes, the regimes in turn, as in the benchmark.
+    """Simulate about `count` contacts of many scenes, the regimes in turn, as in the benchmark.
 
     Args:
         count: number of contacts.

@@ -1,4 +1,4 @@
-"""What the instrument alone explains of the motion, and what that determines of the fields, place by place.
+"""Motion that the instrument alone explains, and the stiffness fields that this determines, place by place.
 
 A simulation is led by the instrument from rest on and never taken to what is observed, as the session's state is: what
 it leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
@@ -32,15 +32,15 @@ from palpate.physics.pbd.simulation import Stepping
 from palpate.physics.pbd.stiffness import Stiffness
 
 FOUNDATIONS = (0.0, 0.01, 0.03, 0.1, 0.3)
-"""Over the stiffness of distances."""
+"""Foundations that are tried, over the stiffness of distances."""
 BENDINGS = (0.02, 0.3, 1.0)
-"""Stiffness of shapes, likewise: the paper's largest of both bounds is a five-hundredth. Those that bounds allow are
-tried."""
+"""Stiffnesses of shapes that are tried within the bounds, over that of distances; the paper's largest is a
+five-hundredth."""
 Answer = Callable[[np.ndarray], np.ndarray]
-"""From values of the particles to values of points."""
+"""Function from values of the particles to values of points."""
 
 LEAST = 0.2
-"""Frames whose points move less tell nothing [px]."""
+"""Root mean square motion below which a frame's points count for nothing [px]."""
 
 
 VOLUME = 1e10 * 0.0089**4
@@ -54,18 +54,18 @@ def uniform(body: Body, distance: float, shape: float) -> Stiffness:
 
 
 class Fit(NamedTuple):
-    """What explains some frames best."""
+    """Parameters that explain some frames best."""
 
     time_step: float
     foundation: float
-    """Over the stiffness of distances."""
+    """Foundation over the stiffness of distances."""
     bending: float
-    """Stiffness of shapes, likewise."""
+    """Stiffness of shapes over that of distances."""
     error: float
     """Error over motion, root mean squares over points, of frames held out in turn: their mean."""
 
     def stepping(self, usual: Stepping, stiffness: float) -> Stepping:
-        """The usual one with this time step and foundation, for such a stiffness of distances."""
+        """Return the usual stepping with this time step and foundation, for such a stiffness of distances."""
         return dataclasses.replace(usual, time_step=self.time_step, foundation=self.foundation * stiffness)
 
 
@@ -92,7 +92,8 @@ class Fitting:
             self._fits += own
         self._states = [objective.body.rest] * len(self._groups)
         self._errors: list[list[float]] = []
-        """Over the motion, of every frame in which points move, by what is given and by all combinations."""
+        """Errors over the motion by the given parameters and by all combinations, of every frame in which points
+        move."""
 
     def step(self, places: np.ndarray, seen: np.ndarray) -> None:
         """Lead all on, and compare them with a frame; arguments as in `Determined.step`."""
@@ -110,7 +111,7 @@ class Fitting:
 
     @property
     def best(self) -> Fit | None:
-        """What explains the frames so far best; None if that isn't what held-out frames ask for.
+        """Parameters that explain the frames so far best; None if held-out frames don't confirm them.
 
         Each frame is held out in turn, and must be explained by what the others choose: in the mean better than by
         what is given, and as well as a run must be. Else what is fitted may be noise.
@@ -125,8 +126,7 @@ class Fitting:
 
 
 STEPPED = "time_step", "foundation"
-"""Uncertain parameters of `Stepping`: what is known of them no better than of a knot, too, since first frames tell them
-in large steps."""
+"""Uncertain parameters of `Stepping`, known no better than a knot, as first frames identify them in large steps."""
 CHANGE = 0.01
 """Change of log stiffness, for finite differences."""
 
@@ -171,7 +171,8 @@ class Determined:
 
     @property
     def skill(self) -> float:
-        """1 - error / motion so far, root mean squares over points and frames; not a number where nothing has moved."""
+        """Skill so far, 1 - error / motion, root mean squares over points and frames; not a number where nothing has
+        moved."""
         return 1 - math.sqrt(self._left / self._motion) if self._motion > 0 else math.nan
 
     def step(self, fields: Stiffness, places: np.ndarray, seen: np.ndarray) -> None:
@@ -214,7 +215,7 @@ class Determined:
             self._points[one] += count
 
     def likeliest(self, fields: Stiffness, longest: float = 0.3) -> Stiffness:
-        """A Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
+        """Take a Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
 
         To what is likeliest of them if time step and foundation stay as they are, at most so far in a knot's logarithm.
         """
@@ -230,7 +231,8 @@ class Determined:
         return Stiffness(*np.minimum(changed, self._objective.bounds.both), fields.volume)
 
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
+        """Return standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where
+        known.
 
         Known is where the knots around tell it to LIMIT, and twice as surely as before anything was observed (three
         quarters of what is said, at least, then come from what was observed). The field is to be no farther from the
@@ -257,7 +259,8 @@ class Determined:
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:
-        """Covariance of all numbers, shape [K, K], and their likeliest values over those to begin with, shape [K].
+        """Return the covariance of all numbers, shape [K, K], and their likeliest values relative to the first ones,
+        shape [K].
 
         The noise is what these leave of the motion, not what the fields of each frame did, which had to be learnt.
         """

@@ -53,7 +53,7 @@ class OnlineOptions(Checked):
 
 
 class OnlineEstimator(Estimator):
-    """Follows tissue that an instrument drives; needs no network and no onset.
+    """Estimator that follows tissue driven by an instrument; needs no network and no onset.
 
     Args:
         settings: how.
@@ -68,7 +68,7 @@ class OnlineEstimator(Estimator):
         self.settings, self.smoothing = settings, smoothing
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Smoothed tissue, and otherwise what the user chooses."""
+        """Return the preparation: smoothed tissue, and otherwise what the user chooses."""
         return chosen.without_model(self.smoothing)
 
     def start(self, clip: ClipInfo) -> "OnlineSession":
@@ -112,7 +112,7 @@ class _Followed:
 
     @property
     def fitted(self) -> str:
-        """What the first frames say by one number each, a sentence; empty if nothing was fitted."""
+        """Sentence on the parameters that were fitted to the first frames; empty if nothing was fitted."""
         fit = self._driven.fit
         if fit is None:
             return ""
@@ -120,7 +120,7 @@ class _Followed:
         return f"{text} {fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
 
     def estimate(self) -> FieldResult:
-        """What the run tells by now."""
+        """Return the result of the run so far."""
         driven = self._driven
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
         skills = driven.skills() if len(times) > 2 else {}
@@ -146,7 +146,7 @@ class OnlineSession(RunSession):
         self._reason, self._begun = "", -1
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
-        """The next frame."""
+        """Take the next frame."""
         yield from self._ended(self._runs.push(frame))
         with self.timed("online"):
             field = self._field(frame)
@@ -156,7 +156,7 @@ class OnlineSession(RunSession):
         yield replace(found, field=field)
 
     def _field(self, frame: PreparedFrame) -> ParticleField | None:
-        """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
+        """Return stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
         run = self._runs.current
         if run is None:
             self._driven, self._begun = None, -1
@@ -176,7 +176,7 @@ class OnlineSession(RunSession):
         return None if self._driven is None else self._driven.field()
 
     def _pressed(self, run: Run) -> InteractionEstimate:
-        """What was observed of a run, and what its field comes to in a sentence."""
+        """Return the record of a run, with a sentence on its field."""
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is not None and len(contact.observation) == 0:
             contact = None

@@ -8,7 +8,7 @@ KNOTS = 12, 4
 
 
 def farthest(places: np.ndarray, first: int, count: int) -> list[int]:
-    """Which of places [P, 3], one after the other, lie farthest from all before, beginning with the first one's index.
+    """Return indices of places [P, 3] that lie farthest from all before, one after the other, from a first one on.
 
     Args:
         places: P of them.
@@ -23,7 +23,8 @@ def farthest(places: np.ndarray, first: int, count: int) -> list[int]:
 
 
 def bumps(rest: np.ndarray, knots: int) -> np.ndarray:
-    """Shares of particles in the knots, shape [N, knots], rows adding up to 1: every particle's own where they are few.
+    """Return shares of particles in the knots, shape [N, knots], rows adding up to 1: every particle's own where they
+    are few.
 
     Knots are particles as far from each other as can be, shares fall off as normal densities half a distance wide.
 

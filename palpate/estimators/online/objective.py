@@ -1,4 +1,4 @@
-"""What fields of stiffness are optimised for within bounds: gap, history, smoothness (Liang 2024, equations 7 to 9).
+"""Objective of the fields of stiffness within bounds: gap, history, smoothness (Liang 2024, equations 7 to 9).
 
 The gap is left by residual mapping: the deformation that takes a simulated state to what was observed of it (equation
 6). How far particles are from that is a term of squared distances, `Chamfer` or `Tracks`. `slope` of either gives its
@@ -50,7 +50,8 @@ class Chamfer:
         self._tree = KDTree(self.cloud)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Value, gradient and second derivatives, a diagonal [N]; a ValueError where a position is not finite."""
+        """Return the value, gradient and second derivatives, a diagonal [N]; a ValueError where a position is not
+        finite."""
         shown = points[self.seen]
         if not np.isfinite(shown).all():
             raise ValueError("a point to match is not finite: what is simulated has diverged.")
@@ -87,7 +88,7 @@ class Tracks:
         self._curved = (2 / len(self.observed) * (self.places.T @ self.places)).tocsr()
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
-        """Value, gradient and second derivatives."""
+        """Return the value, gradient and second derivatives."""
         apart = self.places @ points - self.observed
         count = len(apart)
         return float((apart * apart).sum() / count), 2 / count * (self.places.T @ apart), self._curved
@@ -99,7 +100,7 @@ Matches = Sequence[Match]
 
 @dataclass(frozen=True)
 class Mapping(Checked):
-    """How the deformation is searched."""
+    """Search of the residual deformation."""
 
     steps: Annotated[int, 1, MOST_ITERATIONS] = 30
     """Gradient steps (section II-B)."""
@@ -122,7 +123,7 @@ class _Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What the mapping found; N particles."""
+    """Result of the mapping; N particles."""
 
     deformation: np.ndarray
     """Δ, shape [N, 3] [m]; 0 for what is held."""
@@ -132,7 +133,8 @@ class Residual:
     _path: list[_Step]
 
     def pulled_back(self, by_deformation: np.ndarray) -> np.ndarray:
-        """Derivatives of a scalar by the state from those by Δ [N, 3], shape [N, 3], through every gradient step.
+        """Return derivatives of a scalar by the state from those by Δ [N, 3], shape [N, 3], through every gradient
+        step.
 
         y⁺ = y - η ∇F(y) with y = x + Δ: the adjoint is (I - H η) of each step in turn, less that of Δ = y - x.
         """
@@ -188,7 +190,7 @@ class Bounds(Checked, group="the bound of "):
     """Bounds of shapes' stiffness, likewise."""
 
     def logits(self, fields: Stiffness) -> np.ndarray:
-        """What `fields` makes those fields of, shape [2, N]: distances, then shapes.
+        """Return the logits of which `fields` makes those fields, shape [2, N]: distances, then shapes.
 
         Raises:
             ValueError: a stiffness on a bound or outside; two of the paper's three starts are.
@@ -206,11 +208,11 @@ class Bounds(Checked, group="the bound of "):
         return np.array([[self.distance], [self.shape]])
 
     def fields(self, logits: np.ndarray, volume: float) -> Stiffness:
-        """Bounds times the sigmoid of each; volumes keep theirs."""
+        """Return the fields: bounds times the sigmoid of each logit; volumes keep theirs."""
         return Stiffness(*(self.both * expit(logits)), volume)
 
     def by_logits(self, fields: Stiffness, slopes: Stiffness) -> np.ndarray:
-        """Derivatives by the logits [2, N] from those by the fields [N]."""
+        """Return derivatives by the logits [2, N] from those by the fields [N]."""
         values = np.stack(fields[:2])
         return np.stack(slopes[:2]) * values * (1 - values / self.both)
 
@@ -221,7 +223,7 @@ PAPER = Bounds(distance=10.0, shape=0.02)
 
 @dataclass(frozen=True)
 class Weights(Checked, group="the weight of "):
-    """What the terms count; the paper adds them up as they are, in units that it doesn't give."""
+    """Weights of the objective's terms; the paper adds these up in units that it doesn't give."""
 
     gap: NotNegative = 1.0
     """Weight of ‖Δ‖ in mean edges: weights then don't depend on the unit of the clip."""
@@ -276,7 +278,7 @@ class Objective(Checked):
         return simulate(self.body, fields, grips, self.stepping, start=starts)
 
     def carried(self, fields: Stiffness, states: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """States [B, N, 3] [m] one time step on, each by fields of its own, in two threads.
+        """Return states [B, N, 3] [m] one time step on, each by fields of its own, in two threads.
 
         Args:
             fields: stiffness, shape [B, N].
@@ -294,7 +296,8 @@ class Objective(Checked):
             return np.concatenate(list(both.map(stepped, (slice(half), slice(half, None)))))
 
     def mapped(self, points: np.ndarray, matches: Matches) -> Residual:
-        """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
+        """Return the residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be
+        compared."""
         weights = np.full(len(self.body.layout.rest), self.elastic)
         weights[self.body.kinds[1]] = 0.0
         held = self.body.inverse_mass(self.gripped) == 0
@@ -333,7 +336,7 @@ class Objective(Checked):
         return simulated, residual, terms, Stiffness(*by_fields, 0.0)
 
     def _history(self, fields: Stiffness, snapshots: list[np.ndarray]) -> tuple[float, np.ndarray]:
-        """How far snapshots [N, 3] move, and the derivatives of that by both fields, shape [2, N]."""
+        """Return how far snapshots [N, 3] move, and the derivatives of that by both fields, shape [2, N]."""
         if not snapshots:
             return 0.0, np.zeros((2, self.body.count))
         states = np.stack(snapshots)
@@ -346,6 +349,6 @@ class Objective(Checked):
 
 
 def _norm(values: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
-    """Weighted norm of values [N, 3] and its derivatives by them, 0 where all are."""
+    """Return the weighted norm of values [N, 3] and its derivatives by them, 0 where all are."""
     size = float(np.linalg.norm(values))
     return weight * size, values * (weight / size if size > 0 else 0.0)

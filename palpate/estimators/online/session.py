@@ -30,7 +30,7 @@ class Adam:
     _count: int = field(default=0, init=False, repr=False)
 
     def step(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Values after one step against slopes of the same shape."""
+        """Take a step against slopes of the same shape as the values; return the new values."""
         first, second = self.decay
         self._count += 1
         self._mean = first * self._mean + (1 - first) * slopes
@@ -45,7 +45,7 @@ SNAPSHOTS, WINDOW = 4, 20
 
 @dataclass(frozen=True)
 class Method(Checked):
-    """Which parts of the step run.
+    """Parts of the step that run.
 
     Raises:
         ValueError: another name.
@@ -54,20 +54,20 @@ class Method(Checked):
     name: Literal["PBD", "PBD-RM", "PBD-RM-ON"] = "PBD-RM-ON"
     """Simulation alone; with states that are mapped to what is observed; with stiffness that is optimised, too."""
     optimizer: Literal["adam", "gauss-newton"] = "gauss-newton"
-    """By what stiffness is changed: Adam, the paper's, or Gauss–Newton steps of the fields at a few knots, which are
-    `palpate.estimators.online.determined`'s and need followed points."""
+    """Optimiser of stiffness: Adam, the paper's, or Gauss–Newton steps of the fields at a few knots
+    (`palpate.estimators.online.determined`), which need followed points."""
     rate: Positive = 0.1
     """Learning rate of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a frame gave; N particles."""
+    """Result of a frame; N particles."""
 
     positions: np.ndarray
     """The state, mapped where the method maps, shape [N, 3] [m]."""
     fields: Stiffness
-    """After this frame's step, shape [N]."""
+    """Fields after this frame's step, shape [N]."""
     gap: float | None
     """‖Δ‖ [m]; None = nothing was mapped."""
     terms: Terms | None
@@ -122,10 +122,12 @@ class Session:
         return Frame(self.positions, self.fields, gap, terms)
 
     def ahead(self, places: np.ndarray) -> np.ndarray:
-        """States that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it is."""
+        """Return states that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it
+        is."""
         return self.objective.stepped(self.fields, self.positions, places).positions[0, 1:]
 
     def _snapshots(self) -> list[np.ndarray]:
-        """Evenly out of the window, its ends included, where the paper draws uniformly: runs can be repeated."""
+        """Return states evenly out of the window, its ends included, where the paper draws uniformly: runs can be
+        repeated."""
         chosen = np.linspace(0, len(self._past) - 1, min(SNAPSHOTS, len(self._past)))
         return [self._past[index] for index in chosen.round().astype(int)]

@@ -22,9 +22,9 @@ class Palpation:
     """One press and what was observed of it; P points."""
 
     force: np.ndarray
-    """Onto the body, in the body's frame, shape [3] [N]."""
+    """Force onto the body, in the body's frame, shape [3] [N]."""
     contact: np.ndarray
-    """Where it acts, on the surface at rest, shape [3] [m]."""
+    """Place where the force acts, on the surface at rest, shape [3] [m]."""
     points: np.ndarray
     """Points of the deformed surface, in the sensor's frame, in whose origin its eye is, shape [P, 3] [m]."""
     pose: np.ndarray
@@ -32,11 +32,11 @@ class Palpation:
     tool_radius: float = 0.015
     """Radius of the patch on which the force acts [m]."""
     hole: float = 0.02
-    """Around the contact, where points show the tool or its shadow and don't count [m]."""
+    """Radius around the contact within which points show the tool or its shadow and don't count [m]."""
     pose_shift: float = 0.005
     """Standard deviation of the pose's place [m]."""
     pose_turn: float = 0.03
-    """Standard deviation of its direction [rad]."""
+    """Standard deviation of the pose's direction [rad]."""
 
 
 class Bench:
@@ -70,7 +70,7 @@ class Bench:
         """Noise of the points along the sight, by what of them has not moved [m]."""
 
     def rests(self, material: Material, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:
-        """Equilibria of the body under each force.
+        """Return the equilibria of the body under each force.
 
         Raises:
             NoEquilibrium: it can't bear one.
@@ -90,7 +90,7 @@ class Bench:
         return [found[forces.tobytes()] for forces in self.forces]
 
     def matched(self, vertices: np.ndarray, which: int, pose: np.ndarray) -> tuple[Match, np.ndarray]:
-        """Where a palpation's sights meet the surface in a state, and the cosines of their angles to it [P].
+        """Match a palpation's sights with the surface in a state; return the cosines of their angles to it, too [P].
 
         A sensor errs along its sight: what is met there is what was observed, however far off the point came out. The
         closest place isn't, and is closer wherever the surface bends.
@@ -101,7 +101,7 @@ class Bench:
         return match, (match.normal * sights).sum(axis=1)
 
     def counting(self, match: Match, cosine: np.ndarray, which: int) -> np.ndarray:
-        """Which matched points tell of the body, shape [P], bool."""
+        """Return the mask of the matched points that constrain the body, shape [P], bool."""
         place = match.at(self.skin.triangles, self.skin.vertices)
         counts = np.isfinite(match.distance) & (cosine > GRAZING) & beside_the_tool(place, self.palpations[which])
         # A pose that is a little off carries points around a sharp edge, where distances jump.
@@ -109,12 +109,13 @@ class Bench:
 
 
 def beside_the_tool(place: np.ndarray, palpation: Palpation) -> np.ndarray:
-    """Which places on the surface at rest, shape [P, 3], the tool doesn't hide, shape [P], bool."""
+    """Return the mask of places on the surface at rest [P, 3] that the tool doesn't hide, shape [P], bool."""
     return np.linalg.norm(place - palpation.contact, axis=1) > palpation.hole
 
 
 def surface_error(skin: Skin, rest: Equilibrium, palpation: Palpation, pose: np.ndarray) -> np.ndarray:
-    """Squared distance of every point from the simulated surface, not a number where the hole masks it, shape [P] [m²].
+    """Return the squared distance of every point from the simulated surface, not a number where the hole masks it,
+    shape [P] [m²].
 
     Frank 2010, equation 3.
     """

@@ -28,19 +28,19 @@ FARTHEST, WIDEST = 10.0, 0.15
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """How a press moves the body close to what was simulated."""
+    """Motion of the body under a press, linearised around what was simulated."""
 
     moved: np.ndarray
     """Displacement of the surface's vertices, shape [V, 3] [m]."""
     slopes: np.ndarray
-    """Its derivatives by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
+    """Derivatives of `moved` by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
     nodes: np.ndarray
     """Displacement of the body's nodes, shape [N, 3] [m]."""
     node_slopes: np.ndarray
-    """Its derivatives by the same, shape [N, 3, 2] [m]."""
+    """Derivatives of `nodes` by the same, shape [N, 3, 2] [m]."""
 
     def predicted(self, change: np.ndarray) -> np.ndarray:
-        """Displacement of the nodes with a change of what `slopes` are by, [2], shape [N, 3] [m]."""
+        """Return the displacement of the nodes with a change of what `slopes` are by, [2], shape [N, 3] [m]."""
         return self.nodes + self.node_slopes @ change
 
 
@@ -60,7 +60,8 @@ def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[
 
 
 def _unknowns(which: int) -> np.ndarray:
-    """Indices of what a palpation's points constrain, two of the material and six of its pose, shape [8]."""
+    """Return indices of the unknowns that a palpation's points constrain, two of the material and six of its pose,
+    shape [8]."""
     return np.concatenate([np.arange(2), 2 + np.arange(6 * which, 6 + 6 * which)])
 
 
@@ -79,7 +80,7 @@ class System:
     ) -> None:
         self.bench, self.states, self.change, self.poses, self.ends = bench, states, change, list(poses), ends
         self.chosen: list[np.ndarray] = []
-        """Which points count, of each press [P]: the same ones until something is simulated again."""
+        """Masks of the points that count, of each press [P]; the same until something is simulated again."""
         skin, triangles = bench.skin, bench.skin.triangles
         residuals, blocks, sinks, places = [], [], [], []
         for which, (state, pose) in enumerate(zip(states, poses, strict=True)):
@@ -99,7 +100,7 @@ class System:
             sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
             places.append(match.at(triangles, skin.vertices)[counts])
         self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
-        """By the material's two and the six of the pose that a point was observed from, shape [R, 8]."""
+        """Derivatives by the material's two unknowns and the six of a point's pose, shape [R, 8]."""
         self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
         self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
         limit, size = OUTLIER * bench.noise, np.abs(self.residual)
@@ -107,10 +108,10 @@ class System:
         self.cost = float(np.mean(np.where(size < limit, size**2, limit * (2 * size - limit))))
         self.noise = float(np.sqrt(np.mean(self.weight * np.square(self.residual))))
         self.precision = self.weight / self.noise**2
-        """What a residual weighs, shape [R] [1/m²]."""
+        """Weights of the residuals, shape [R] [1/m²]."""
 
     def solved(self) -> "System":
-        """By Gauss–Newton steps, without a simulation."""
+        """Take Gauss–Newton steps, without a simulation."""
         system, trust = self, 1.0
         for _ in range(20):
             step, sd = system.step()
@@ -130,7 +131,7 @@ class System:
         return system
 
     def _normal(self) -> tuple[np.ndarray, np.ndarray]:
-        """Normal matrix [U, U] and right-hand side [U], with what the tool tells of the poses.
+        """Return the normal matrix [U, U] and right-hand side [U], with the tool's information on the poses.
 
         ν is as likely anywhere in its range: a normal prior would draw it to the middle, and with it raise E.
         """
@@ -148,12 +149,13 @@ class System:
         return normal, right
 
     def _precision(self) -> np.ndarray:
-        """What is known of the unknowns beforehand, shape [U]."""
+        """Return prior precisions of the unknowns, shape [U]."""
         poses = [[each.pose_turn**-2] * 3 + [each.pose_shift**-2] * 3 for each in self.bench.palpations]
         return np.concatenate([[0.0] * 2, *poses])
 
     def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss–Newton's step, shape [U], none where it would leave its range; sd of 1/E and ν by the noise, [2]."""
+        """Return Gauss–Newton's step, shape [U], none where it would leave its range; sd of 1/E and ν by the noise,
+        [2]."""
         normal, right = self._normal()
         sd = np.sqrt(np.diag(np.linalg.inv(normal))[:2])
         # Where the body leaves a pose open, as a ball its turns, facets pull it to and fro: a step moves it by a
@@ -169,12 +171,13 @@ class System:
         return found, sd
 
     def still(self) -> bool:
-        """Whether what was simulated is as good."""
+        """Return whether the change is too small to need another simulation."""
         sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[:2])
         return bool((np.abs(self.change) < CLOSE * sd).all())
 
     def covariance(self, model_error: float) -> np.ndarray:
-        """Covariance of (log E, ν), by the sensor's noise and the share of displacements that the model gets wrong."""
+        """Return the covariance of (log E, ν), by the sensor's noise and the share of displacements that the model gets
+        wrong."""
         normal = self._normal()[0]
         normal[1, 1] += 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
         inverse = np.linalg.inv(normal)
@@ -193,11 +196,11 @@ class System:
 
 
 Fit = tuple[float, float, list[Equilibrium], System]
-"""E and ν as simulated last, the bodies, and what was solved from there."""
+"""State of the iteration: E and ν as simulated last, the bodies, and the system solved from there."""
 
 
 def ends(poisson: float) -> tuple[float, float]:
-    """How far ν may change between two simulations."""
+    """Return the range within which ν may change between two simulations."""
     return max(POISSON[0] - poisson, -WIDEST), min(POISSON[1] - poisson, WIDEST)
 
 

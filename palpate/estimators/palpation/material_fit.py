@@ -24,18 +24,18 @@ NOTHING = "nothing determined"
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a fit sees its model."""
+    """Settings of a fit: its start, and the error of the model."""
 
     young: float = 1e4
-    """E to begin at [Pa]."""
+    """Young's modulus E to begin at [Pa]."""
     model_error: float = 0.02
-    """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
-    takes besides the sensor's noise."""
+    """Relative error of the displacements by mesh and law, correlated within a quarter of the body, for the
+    covariance."""
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialFit:
-    """What the palpations say; O of them."""
+    """Result of the palpations; O of them."""
 
     young: float
     """[Pa]."""
@@ -63,7 +63,8 @@ class MaterialFit:
 
     @property
     def verdict(self) -> str:
-        """Whether ν is `determined` too, `young` alone, or `NOTHING`: E's interval spans a factor e, or more."""
+        """Verdict: `determined` if ν is, too; `young` if E alone is; `NOTHING` if E's interval spans a factor e or
+        more."""
         if not self.young_sd < LIMIT:
             return NOTHING
         # A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05.
@@ -109,7 +110,7 @@ def fit_material(
 
 
 def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:
-    """By how much E is too high for bodies by the linear law to move by 3 % of their size.
+    """Return the factor by which E is too high for bodies by the linear law to move by 3 % of their size.
 
     With that displacement points are matched first.
     """

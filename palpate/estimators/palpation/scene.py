@@ -35,11 +35,11 @@ class SceneFile(Checked):
     """
 
     held_axis: Literal["x", "y", "z"]
-    """Along which `held_below` counts."""
+    """Axis along which `held_below` counts."""
     held_below: float
-    """What lies lower stands still, as on a table [m]."""
+    """Height below which the body stands still, as on a table [m]."""
     palpations: tuple[dict[str, Any], ...]
-    """Each with the fields of `PalpationFile`."""
+    """Palpations, each with the fields of `PalpationFile`."""
     surface: str
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
     # Cells along the longest side; unknowns grow with their cube.
@@ -85,11 +85,11 @@ class PalpationFile:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a scene's file says, read."""
+    """Scene as read from its file."""
 
     skin: Skin
     held: np.ndarray
-    """Which components of the nodes are fixed, shape [N, 3], bool."""
+    """Mask of the nodes' components that are fixed, shape [N, 3], bool."""
     palpations: list[Palpation]
 
 
@@ -146,7 +146,7 @@ def _require_metres(path: Path, points: np.ndarray) -> None:
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V, 3] and triangles [F, 3] of a Wavefront file; faces of more corners are fanned out.
+    """Read vertices [V, 3] and triangles [F, 3] of a Wavefront file; faces of more corners are fanned out.
 
     Raises:
         InputError: it can't be read, or holds no triangle.

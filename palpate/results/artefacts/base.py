@@ -45,7 +45,7 @@ class Artefact:
     option: ClassVar[str] = ""
     """Option of the program that asks for it; empty where it is always written."""
     pictures: ClassVar[bool] = False
-    """Whether `frame` needs pictures and labels."""
+    """True if `frame` needs pictures and labels."""
     columns: Mapping[str, str] | None = None
     """Columns of a table, each with what it is, for run.json."""
 
@@ -55,7 +55,7 @@ class Artefact:
 
     @classmethod
     def wanted(cls, options: argparse.Namespace, estimator: Estimator) -> bool:
-        """Whether the options of the program and the estimator ask for it."""
+        """Return whether the options of the program and the estimator ask for it."""
         return not cls.option or getattr(options, cls.option) not in (None, False)
 
     def open(self) -> None:

@@ -101,12 +101,12 @@ def write_figure(path: Path, figure: Figure) -> None:
 
 
 def _moves(run: InteractionEstimate) -> bool:
-    """Whether a contact has a motion to draw."""
+    """Return whether a contact has a motion to draw."""
     return run.beside is not None or run.simulated is not None
 
 
 def _described(run: InteractionEstimate) -> tuple[str, list[str]]:
-    """Heading of a contact, the verdict first and no number surer than it, and lines of what is said of it."""
+    """Return the heading of a contact, verdict first, and lines of explanation."""
     press, pull, explained = run.estimate, run.grip, ""
     heading = f"{in_words(state(run))}: contact from frame {run.onset_frame}"
     if pull is not None and run.beside is pull:
@@ -142,6 +142,6 @@ def _draw_motion(axes: Axes, run: InteractionEstimate) -> None:
 
 
 def _lines(text: str, width: int = 140) -> list[str]:
-    """A text in lines, as matplotlib shows it letter by letter."""
+    """Wrap a text into lines that matplotlib shows letter by letter."""
     # Stand-ins for bytes of file names that are not UTF-8 can't be drawn, and a pair of $ would begin a formula.
     return [line.replace("$", r"\$") for line in textwrap.wrap(text.encode("utf-8", "replace").decode(), width)]

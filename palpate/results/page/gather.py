@@ -30,12 +30,12 @@ QUESTIONS |= {"k_d/k_s": "Damping over stiffness", "|F|/k_s": "Force over stiffn
 
 
 def clip_folders(output: Path) -> list[Path]:
-    """Folders of complete clips in a folder of results, by name."""
+    """Return folders of complete clips in a folder of results, by name."""
     return [path for path in sorted(output.iterdir()) if not path.name.startswith(".") and store.read_record(path)]
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """Content about a clip on the page of a batch: name, runs of contact and frames by what was found, warnings.
+    """Return facts about a clip on the page of a batch: name, runs of contact and frames by what was found, warnings.
 
     Raises:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
@@ -56,7 +56,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 
 def clip_of(folder: Path) -> dict[str, Any]:
-    """Content of a clip's page.
+    """Return the content of a clip's page.
 
     Raises:
         OSError: a file can't be read.
@@ -86,13 +86,13 @@ def clip_of(folder: Path) -> dict[str, Any]:
 
 
 def _fix(warning: str, states: Iterable[str]) -> str:
-    """Anchor of what to do about a warning, a status or a key of FIXES; empty where there is none."""
+    """Return the anchor of the remedy for a warning, a status or a key of FIXES; empty where there is none."""
     found = [name for name in states if f"are {name}" in warning] + [words for words in FIXES if words in warning]
     return found[0] if found else ""
 
 
 def contacts_of(folder: Path) -> list[dict[str, Any]]:
-    """Content about a video's contacts."""
+    """Return facts about a video's contacts."""
     report, runs = _json(folder / store.REPORT)["contacts"], _json(folder / store.RESULTS)["contacts"]
     found = []
     for run, forces in zip(runs, report, strict=True):
@@ -104,13 +104,14 @@ def contacts_of(folder: Path) -> list[dict[str, Any]]:
 
 
 def _explained(name: str, count: int = 0) -> dict[str, Any]:
-    """A verdict or a status in words, what it means, and what to do about it."""
+    """Return a verdict or a status in words, what it means, and what to do about it."""
     note = NOTES.get(name, NOTES["doubtful"])
     return {"name": name, "words": in_words(name), "count": count, "means": note.text, "do": note.remedy}
 
 
 def contact_numbers(run: Mapping[str, Any], force: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return symbol, text and unit of what is known of a contact, in physical units where it is determined in those.
+    """Return the symbol, text and unit of what is known of a contact, in physical units where it is determined in
+    those.
 
     Args:
         run: the contact as results.json has it.
@@ -128,7 +129,7 @@ def contact_numbers(run: Mapping[str, Any], force: Mapping[str, Any]) -> list[tu
 def _curves(
     record: Mapping[str, Any], frames: list[dict[str, Any]], contacts: list[dict[str, Any]], first: Any
 ) -> dict[str, Any]:
-    """Values that the page's script draws, by frame and by contact; what is not known is None."""
+    """Return values that the page's script draws, by frame and by contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "contacts": []}
     for name in ("frame", "time_s", *CURVES):
         found[name] = [frame[name] for frame in frames]
@@ -151,7 +152,7 @@ def _curves(
 
 
 def _coded(texts: Sequence[str]) -> dict[str, Any]:
-    """Texts that repeat, as their places in a list of them."""
+    """Return texts that repeat, as their places in a list of them."""
     places = {name: place for place, name in enumerate(dict.fromkeys(texts))}
     return {"names": list(places), "words": list(map(in_words, places)), "index": [places[text] for text in texts]}
 

@@ -1,4 +1,4 @@
-"""Writes the pages of a folder of results. Jinja2 is imported where a page is made: programs start without it."""
+"""Renderer of the pages of a folder of results. Jinja2 is imported where a page is made: programs start without it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
 
 @functools.cache
 def _environment() -> Environment:
-    """Templates whose every value is escaped: names of files are a user's."""
+    """Return templates whose every value is escaped: names of files are a user's."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     space: dict[str, Any] = dict.fromkeys(("trim_blocks", "lstrip_blocks", "keep_trailing_newline"), True)
@@ -74,5 +74,5 @@ def _environment() -> Environment:
 
 
 def _cell(value: Any) -> str:
-    """A number of a JSON file as tables show it; a dash where there is none."""
+    """Return a number of a JSON file as tables show it; a dash where there is none."""
     return "–" if value is None or value == "" else f"{value:.4g}" if isinstance(value, float) else str(value)

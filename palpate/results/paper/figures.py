@@ -34,7 +34,7 @@ def _draw_fan(axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.n
 
 
 def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mechanics) -> Figure:
-    """Figure 3: heat map sorted by peak (a) and fan chart (b), with the release marked in both.
+    """Draw figure 3: heat map sorted by peak (a) and fan chart (b), with the release marked in both.
 
     Displacements are relative to the highest peak of all; trajectories that aren't finite are left out and counted.
 

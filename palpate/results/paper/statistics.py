@@ -23,7 +23,7 @@ NO_INTERVAL = math.nan, math.nan
 
 
 def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["BCa", "percentile"]) -> Interval:
-    """Interval of a mean over paired resamples."""
+    """Return the interval of a mean over paired resamples."""
     low, high = stats.bootstrap(
         samples, mean, paired=True, vectorized=True, n_resamples=10_000, confidence_level=0.95, method=method,
         batch=500, rng=np.random.default_rng(0),
@@ -32,14 +32,15 @@ def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["B
 
 
 def bca_interval(values: pd.Series) -> Interval:
-    """BCa bootstrap interval of the mean of values [n], taken as independent."""
+    """Return the BCa bootstrap interval of the mean of values [n], taken as independent."""
     if len(values) < 5 or values.nunique() == 1:
         return NO_INTERVAL
     return _bootstrap((values.to_numpy(),), np.mean, "BCa")
 
 
 def clip_interval(values: pd.Series, clips: np.ndarray) -> Interval:
-    """Percentile interval of the mean of values [n] over resamples of whole clips, whose names [n] are `clips`."""
+    """Return the percentile interval of the mean of values [n] over resamples of whole clips, whose names [n] are
+    `clips`."""
     by_clip = values.groupby(clips)
     if by_clip.ngroups < 3:
         return NO_INTERVAL
@@ -56,7 +57,7 @@ def _intervals(values: pd.Series, clips: np.ndarray) -> Statistics:
 
 
 def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:
-    """Mean, SD (n − 1) and both intervals of the finite among the values [n] from the clips [n]."""
+    """Return mean, SD (n − 1) and both intervals of the finite among the values [n] from the clips [n]."""
     finite = np.isfinite(values)
     kept, names = pd.Series(np.asarray(values, dtype=float)[finite]), np.asarray(clips)[finite]
     counts = {"frames": len(kept), "clips": len(np.unique(names)), "left_out": int(np.count_nonzero(~finite))}
@@ -64,7 +65,7 @@ def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:
 
 
 def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statistics:
-    """Paired statistics of two regimes' errors on the same frames; pairs with an error that isn't finite are left out.
+    """Compare two regimes' errors on the same frames; pairs with an error that isn't finite are left out.
 
     Differences are baseline − regime, so positive means that the regime is better; tests are two-sided; Cohen's d is
     the paired d_z = mean(difference)/SD(difference) = t/√n, the variant behind the paper's 0.390.
@@ -100,12 +101,12 @@ def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statist
 
 
 def as_reported(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """θ [..., 3] with the force as a magnitude, unless its range crosses 0."""
+    """Return θ [..., 3] with the force as a magnitude, unless its range crosses 0."""
     return np.abs(theta) if bounds.force[1] <= 0 else theta
 
 
 def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFrame:
-    """Spread of the parameters, as reported, over the test frames in the admissible box.
+    """Return the spread of the parameters, as reported, over the test frames in the admissible box.
 
     Args:
         frames: one row a test frame with its parameters.

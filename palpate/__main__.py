@@ -24,8 +24,6 @@ COMMANDS = {name: f"palpate.cli.{name}" for name in OWN} | {
     "synthetic": "palpate.data.synthetic.__main__",
 }
 """Modules whose `main` takes a command's arguments."""
-EXTRAS = dict.fromkeys(("train", "export"), "train")
-"""Extras that some of them need installed."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -43,9 +41,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         command = load_program(COMMANDS[name])
     except ModuleNotFoundError as error:
-        if name not in EXTRAS:
+        if name not in ("train", "export"):
             raise
-        print(f"palpate: {name} needs {error.name}; install 'palpate[{EXTRAS[name]}]'.", file=sys.stderr)
+        print(f"palpate: {name} needs {error.name}; install 'palpate[train]'.", file=sys.stderr)
         return 2
     sys.argv[:] = [f"palpate {name}"]  # what the command calls itself in its messages
     return command.main(["export", *rest] if name == "export" else rest)

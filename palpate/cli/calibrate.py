@@ -29,8 +29,6 @@ from palpate.physics.fem import NoEquilibrium
 from palpate.physics.identifiability import NINETY
 from palpate.results.store import OutputError, make_output, writing
 
-PALPATION = ("calibration.json", "errors.csv")
-
 
 @dataclass(frozen=True)
 class CalibrateOptions:
@@ -50,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     options: CalibrateOptions = read_options(CalibrateOptions, arguments, "", __doc__)
     try:
         with writing(options.output):
-            require_own(*(options.output / name for name in PALPATION))
+            require_own(options.output / "calibration.json", options.output / "errors.csv")
         return _palpation(options, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -79,9 +77,11 @@ def _palpation(options: CalibrateOptions, console: Console) -> int:
             "poisson_sd": found.poisson_sd,
             "covariance_of_log_young_and_poisson": found.covariance,
         }
-    _write(output, "calibration.json", as_json(record, indent=1) + "\n")
-    _write(output, "errors.csv", _errors(scene, found))
-    say(console, f"written: {', '.join(f'{output}/{name}' for name in PALPATION)}")
+    make_output(output)
+    with writing(output):
+        write_own(output / "calibration.json", as_json(record, indent=1) + "\n")
+        write_own(output / "errors.csv", _errors(scene, found))
+    say(console, f"written: {output}/calibration.json, {output}/errors.csv")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
@@ -99,9 +99,3 @@ def _errors(scene: Scene, found: MaterialFit) -> str:
         errors = 1000 * np.sqrt(surface_error(scene.skin, rest, each, pose))
         rows += [{"palpation": number, "point": i, "error_mm": error} for i, error in enumerate(errors.tolist())]
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
-
-
-def _write(output: Path, name: str, content: str) -> None:
-    make_output(output)
-    with writing(output):
-        write_own(output / name, content)

@@ -48,8 +48,6 @@ from palpate.results.options import FRAME_FORCE, require_able
 
 LIVE = Registry("live estimator", ESTIMATORS.group, {x: ESTIMATORS.entries[x].value for x in ("network", "online")})
 """Estimators that estimate while frames come."""
-WAITING, UNDECIDED = 1, 16
-"""Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
 
 
 def igtl_server(port: int) -> Any:
@@ -144,14 +142,13 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"palpate live: {error}", file=sys.stderr)
         return 2
-    alarm = None
-    if options.force_limit is not None:
-        raised = options.alarm_at or ForceAlarm.raised
-        alarm = ForceAlarm(options.force_limit, UNITS["force"], estimator.force_seconds, raised)
+    limit, raised = options.force_limit, options.alarm_at or ForceAlarm.raised
+    alarm = None if limit is None else ForceAlarm(limit, UNITS["force"], estimator.force_seconds, raised)
     lines = JsonLines(source, server, alarm)
     try:
         with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
-            for output in estimates_of(session, clip.overlapped(UNDECIDED, WAITING, lines.notice)):
+            # Frames that wait for their decision, as a press takes longer than a frame, and one for its estimate.
+            for output in estimates_of(session, clip.overlapped(16, 1, lines.notice)):
                 lines.add(output)
         status = INTERRUPTED if source.stopped else 0
     except (ValueError, OSError) as error:

@@ -29,8 +29,6 @@ from palpate.data.source.layout import InputError
 from palpate.models.checkpoint import read_checkpoint
 from palpate.results.record import sha256_of
 
-EXPERIMENT = "palpate"
-"""Name of the experiment that holds the runs, and so compares them."""
 RUN_ID = "mlflow_run_id"
 """Name under which a checkpoint holds its run's id."""
 LOCK_TIMEOUT_S = 5.0
@@ -57,7 +55,8 @@ class RunLogger(MLFlowLogger):
         database = f"sqlite:///{root / 'mlflow.db'}"
         run_id = None if checkpoint is None else _run_of(checkpoint, database, run_name)
         place: dict[str, Any] = {"tracking_uri": database, "artifact_location": str(root / "mlflow"), "run_id": run_id}
-        super().__init__(EXPERIMENT, run_name or folder.resolve().name, log_model="all", prefix=prefix, **place)
+        # One experiment holds all runs, and so compares them.
+        super().__init__("palpate", run_name or folder.resolve().name, log_model="all", prefix=prefix, **place)
         self._goes_on = run_id is not None
 
     @rank_zero_only

@@ -29,15 +29,9 @@ def read_file(path: Path, most: int = 2**24) -> bytes:
     return path.read_bytes()
 
 
-def read_beside(module: str, name: str = "") -> Any:
-    """Return the content of a YAML file that comes with this project, next to a module.
-
-    Args:
-        module: its `__file__`.
-        name: of the file; without one, the module's own.
-    """
-    path = Path(module)
-    text = (path.with_name(name) if name else path.with_suffix(".yaml")).read_text(encoding="utf-8")
+def read_beside(module: str) -> Any:
+    """Return the content of the YAML file next to a module, whose `__file__` is given, of the same name."""
+    text = Path(module).with_suffix(".yaml").read_text(encoding="utf-8")
     return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the former, where it is, in a tenth of it
 
 

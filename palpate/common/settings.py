@@ -24,22 +24,17 @@ shown = _short.repr
 """A value from a file for a sentence, which it leaves short however long, deep or circular the value is."""
 
 
-def sound(value: Any, levels: int = 16, most: int = 100_000) -> bool:
+def sound(value: Any) -> bool:
     """Return whether a value read from a file is of a reasonable size, with names in it that stand for others written
-    out.
-
-    Args:
-        levels: of lists and mappings within each other.
-        most: values in one of these levels.
-    """
+    out: 16 levels of lists and mappings within each other, and 100,000 values in a level."""
     row = [value]
-    for _ in range(levels):
+    for _ in range(16):
         if any(isinstance(each, (int, float)) and not abs(each) <= LARGEST for each in row):
             return False
         if any(isinstance(each, str) and "\0" in each for each in row):  # no name of a file
             return False
         held = (each.values() if isinstance(each, dict) else each for each in row if isinstance(each, (dict, list)))
-        row = list(itertools.islice(itertools.chain.from_iterable(held), most))
+        row = list(itertools.islice(itertools.chain.from_iterable(held), 100_000))
     return not row
 
 

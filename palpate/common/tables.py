@@ -16,8 +16,7 @@ def to_csv(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None =
     text = io.StringIO()
     writer = csv.DictWriter(text, columns or list(rows[0]), restval="", lineterminator="\n")
     writer.writeheader()
-    for row in rows:
-        writer.writerow({key: to_cell(value, form) for key, value in row.items()})
+    writer.writerows({key: to_cell(value, form) for key, value in row.items()} for row in rows)
     return text.getvalue()
 
 

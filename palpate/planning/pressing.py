@@ -22,9 +22,6 @@ RADIUS = 0.01
 """Radius of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
-SHAPE_SD, WORK_SD = 0.45, 0.56
-"""Standard deviations of the logarithm of forces, and of work: how far bodies of other shapes are from the block
-(docs/forces.md)."""
 
 
 def unit_press(poisson: float) -> np.ndarray:
@@ -49,7 +46,8 @@ class PressingCosts:
         self.start, self.goal, self.port = (np.array(place) for place in (scene.start, scene.goal, scene.port))
         self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
         """Corners of the grid, shape [2, 3] [m]."""
-        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [SHAPE_SD, WORK_SD])).tolist()
+        # Standard deviations of the logarithm of force and work, of bodies of other shapes than the block.
+        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [0.45, 0.56])).tolist()
         """Factors from a force, and from work, to the upper end of its 90 % interval."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:

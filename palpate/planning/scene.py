@@ -15,7 +15,7 @@ import numpy as np
 from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
-from palpate.estimators.palpated import YOUNG, palpated_young
+from palpate.estimators.palpated import palpated_young
 
 Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]
@@ -32,7 +32,7 @@ class SoftObject(Checked):
 
     size: tuple[float, float, float]
     """Width, thickness and height [m]."""
-    young: Annotated[float, *YOUNG]
+    young: Annotated[float, 1.0, 1e12]
     """Young's modulus E [Pa]."""
     poisson: Annotated[float, 0, 0.499] = 0.45
     held: tuple[Side, ...] = ("top",)

@@ -19,8 +19,8 @@ from palpate.planning.roadmap import Blocked, Plan, cheapest_way, neighbours, sh
 from palpate.planning.scene import SpaceScene
 from palpate.planning.surface import measure
 
-NODES, NEIGHBOURS, JOINED = 3000, 12, 40
-"""Places, lines from each, and lines from start and from goal."""
+JOINED = 40
+"""Number of lines from start and from goal."""
 
 
 def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
@@ -93,10 +93,10 @@ def _made(scene: SpaceScene) -> dict[str, Any]:
     [2, E]."""
     known = measure(Path(scene.mesh), scene.unit, scene.tip_radius) | {"press": unit_press(scene.poisson)}
     costs = PressingCosts(scene, known)
-    around = 8 * scene.tip_radius * np.array([[-1.0], [1.0]])
-    drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * NODES, 3))
-    places = drawn[np.isfinite(costs.loads(drawn)[0])][:NODES]
+    around, count = 8 * scene.tip_radius * np.array([[-1.0], [1.0]]), 3000
+    drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * count, 3))
+    places = drawn[np.isfinite(costs.loads(drawn)[0])][:count]
     if len(places) < JOINED:
         raise Blocked(f"from port {list(scene.port)} the shaft comes out of the tissue nowhere; move it out.")
-    pairs = neighbours(places, NEIGHBOURS)
+    pairs = neighbours(places, 12)
     return known | {"places": places, "pairs": pairs, "edges": costs.edges(*places[pairs.T])}

@@ -24,8 +24,7 @@ def _read(path: Path, unit: str) -> Any:
         mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
         size = float(mesh.extents.max())
     except Exception as error:  # each format's reader raises its own
-        problem = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
-        raise InputError(f"{printable(path)} {problem}") from error
+        raise InputError(f"{printable(path)} is no mesh of triangles; save it as PLY, STL or OBJ.") from error
     units = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
     # Longest sides of bodies, 2 mm to 2 m.
     likely = [each for each, metres in units.items() if 2e-3 <= size * metres <= 2.0]

@@ -17,8 +17,6 @@ from palpate.estimators.records import FrameEstimate
 from palpate.estimators.result import Quantity
 
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
-NO_CONTACT = "no_contact"
-"""Name in run.json of frames without any; their state is empty."""
 
 
 @dataclass
@@ -81,12 +79,12 @@ class ForceAlarm:
             above = probability >= (self.cleared if self._above else self.raised)
             self.alarms += above and not self._above
             self._above, state = above, ABOVE if above else BELOW if probability < self.cleared else UNKNOWN
-        self.frames[state or NO_CONTACT] += 1
+        self.frames[state or "no_contact"] += 1
         return state
 
     def record(self) -> dict[str, Any]:
         """Return the entry of run.json: the limit, the number of alarms, and the number of frames of each state."""
-        frames = {state: self.frames[state] for state in (NO_CONTACT, BELOW, ABOVE, UNKNOWN)}
+        frames = {state: self.frames[state] for state in ("no_contact", BELOW, ABOVE, UNKNOWN)}
         given = {"limit": self.limit, "unit": self.unit, "raised": self.raised, "cleared": self.cleared}
         return given | {"alarms": self.alarms, "frames": frames}
 

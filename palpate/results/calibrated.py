@@ -110,8 +110,8 @@ class ClipCalibration:
         except NoEstimate:
             return None
         known = np.log(np.abs(found.theta)), found.covariance, covariance(found.verdict_information), True
-        physical = None if scale is None else scale.of(PressedRun(-1, math.nan, math.nan, *known), self.length)
-        if physical is None or physical.log_sd is None or "force" not in physical.determined:
+        physical = scale.of(PressedRun(-1, math.nan, math.nan, *known), self.length)
+        if physical.log_sd is None or "force" not in physical.determined:
             return None
         return Quantity(math.exp(physical.logs[2]), physical.log_sd[2])
 

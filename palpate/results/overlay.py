@@ -13,9 +13,6 @@ from palpate.results.verdicts import ALARMS, NOTES, Color, in_words, numbers, st
 
 Place = tuple[float, float]
 WHITE: Color = (255, 255, 255)
-_TISSUE_COLOR: Color = (74, 222, 128)
-_TOOL_COLOR: Color = (56, 189, 248)
-_FORCE_COLOR: Color = (251, 146, 60)
 _SOFT: Color = (203, 213, 225)
 CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
 _FONT = cv2.FontFace("sans")
@@ -52,8 +49,8 @@ def draw_overlay(
     if image is not None and estimate.field is not None:
         draw_field(canvas, estimate.field, width / size[0], labels)
     if image is not None and labels is not None:
-        _outline(canvas, labels, TISSUE, _TISSUE_COLOR)
-        _outline(canvas, labels, TOOL, _TOOL_COLOR)
+        _outline(canvas, labels, TISSUE, (74, 222, 128))
+        _outline(canvas, labels, TOOL, (56, 189, 248))
     _mark_contact(canvas, estimate, width / size[0])
     _panel(canvas, estimate, corner)
     _footer(canvas, estimate)
@@ -79,7 +76,7 @@ def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) ->
     if touch.arrow is not None:
         tail, tip = (tuple(round((value + 0.5) * factor) for value in point) for point in touch.arrow)
         cv2.arrowedLine(canvas, tail, tip, (20, 20, 20), max(4, round(6 * scale)), cv2.LINE_AA, tipLength=0.3)
-        cv2.arrowedLine(canvas, tail, tip, _FORCE_COLOR, max(2, round(3 * scale)), cv2.LINE_AA, tipLength=0.3)
+        cv2.arrowedLine(canvas, tail, tip, (251, 146, 60), max(2, round(3 * scale)), cv2.LINE_AA, tipLength=0.3)
     if touch.contact_u is not None and touch.contact_v is not None:
         center = (round((touch.contact_u + 0.5) * factor), round((touch.contact_v + 0.5) * factor))
         cv2.circle(canvas, center, max(4, round(7 * scale)), (20, 20, 20), max(3, round(4 * scale)), cv2.LINE_AA)

@@ -31,14 +31,6 @@ from palpate.results.writer import ClipResults
 FORMAT_VERSION = 1
 """Version of the record's layout."""
 
-UNDRIVEN = (
-    "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; the "
-    "online estimator needs a clip whose tool drives the tissue"
-)
-CODED = (
-    "the video's compression leaves small changes out, so that brightness lags behind by {:.1f} of 255 levels: k_d/k_s "
-    "and F/k_s by shading may come out too large, and other than from the same video compressed less"
-)
 UNCALIBRATED = (
     "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
     "intervals hold the truth less often than that"
@@ -106,6 +98,14 @@ def build_record(
     """
     source, frames = clip.source, results.estimates
     depth_identity, masks_identity = clip.identity
+    undriven = (
+        "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; "
+        "the online estimator needs a clip whose tool drives the tissue"
+    )
+    coded = (
+        f"the video's compression leaves small changes out, so that brightness lags behind by {results.lag:.1f} of 255 "
+        "levels: k_d/k_s and F/k_s by shading may come out too large, and other than from a video compressed less"
+    )
     return head_of("video", causes) | {
         "input": {
             "path": str(source.path.resolve()),
@@ -135,10 +135,10 @@ def build_record(
         "columns": {item.name: item.columns for item in results.artefacts if item.columns is not None},
         "warnings": [
             *clip.warnings,
-            *filter(None, [results.length.by if results.length.metres is None else ""]),
+            *([results.length.by] if results.length.metres is None and results.length.by else []),
             *warnings_of(source, frames, model, clip.sources),
-            *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
-            *([CODED.format(results.lag)] if results.lag else []),
+            *([] if results.stretched or causes["estimator"]["name"] != "online" else [undriven]),
+            *([coded] if results.lag else []),
             *(warning for artefact in results.artefacts for warning in artefact.warnings()),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),

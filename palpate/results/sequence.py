@@ -33,9 +33,6 @@ from palpate.results.record import FORMAT_VERSION, head_of, sha256_of
 if TYPE_CHECKING:
     from palpate.results.run import Batch
 
-PARTICLES = "particles.csv"
-"""File of the last frame's particles."""
-
 
 def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
     """Return dependencies of a sequence's results: hashes of all its files, the estimator's settings, and the code.
@@ -60,7 +57,7 @@ class SequenceClip:
         ValueError: the sequence can't be used, or not with these options.
     """
 
-    files = (store.TABLE, PARTICLES, store.RECORD)
+    files = (store.TABLE, "particles.csv", store.RECORD)
     length, remarks = 0, ()
 
     def __init__(self, path: Path, batch: Batch) -> None:
@@ -106,7 +103,7 @@ class SequenceClip:
                 columns = places | dict(zip("xyz", field.positions.T, strict=True)) | values
                 done()
             particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
-            for name, table in ((PARTICLES, particles), (store.TABLE, rows)):
+            for name, table in (("particles.csv", particles), (store.TABLE, rows)):
                 text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
                 (partial / name).write_text(text, encoding="utf-8", newline="")
             empty = f"{tissue.unseen} of {len(sequence.gripped)} frames show no tissue: their clouds are empty"

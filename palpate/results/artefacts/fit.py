@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MOST_PANELS = 12
 """Number of contacts that are drawn."""
-OBSERVED, SIMULATED, RELEASE = "#4b5563", "#7c3aed", "#ea580c"
+OBSERVED, SIMULATED = "#4b5563", "#7c3aed"
 
 
 class FitPicture(Artefact):
@@ -137,7 +137,7 @@ def _draw_motion(axes: Axes, run: InteractionEstimate) -> None:
         axes.plot(run.simulated[0], sign * run.simulated[1], lw=2, color=SIMULATED, label="simulated with the fit")
         release = contact.load_seconds + estimate.course.delays[1]
         if contact.released and release < times[-1]:
-            axes.axvline(release, color=RELEASE, lw=1.5, ls="--", label=f"release, {release:.3f} s")
+            axes.axvline(release, color="#ea580c", lw=1.5, ls="--", label=f"release, {release:.3f} s")
         axes.set_ylabel("displacement along the force\n[scene units (normalised)]")
 
 

@@ -26,7 +26,6 @@ RELATIVE = "of this contact's own peak (relative, not N)"
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
-STILL = "Frames without a picture, or in which too little moves, tell no force."
 
 
 class ForceFile(Artefact):
@@ -87,7 +86,8 @@ class ContactForce:
         if run.field is not None:
             why = "--estimator online tells no force."
         elif pull is not None and found is pull:
-            unit, why = RELATIVE if newtons is None else "N, by the force that was measured for a while", STILL
+            unit = RELATIVE if newtons is None else "N, by the force that was measured for a while"
+            why = "Frames without a picture, or in which too little moves, tell no force."
             curves = _between(run.onset_time_s + pull.times, pull.curves if newtons is None else newtons, times)
         elif press is not None:
             direction = None if run.interaction is None else np.sign(press.theta[2]) * run.interaction.direction

@@ -11,8 +11,6 @@ from palpate.results import store
 from palpate.results.artefacts.forces import RELATIVE
 from palpate.results.verdicts import NOTES, OWN_UNITS, in_words, numbers, rounded
 
-CURVES = ("stiffness", "stiffness_low", "stiffness_high")
-"""Columns of frames and contacts that are drawn over time."""
 FIXES = {
     "was trained on": "Give depth and masks from the sources that the model was trained on, or another --model.",
     "masks": "Look at the overlay. Where an instrument's outline is wrong, draw it by palpate outline CLIP, and give "
@@ -24,9 +22,6 @@ FIXES = {
     "reached the limit": "The limit is that of --force-limit.",
 }
 """Remedies for a warning that has these words."""
-QUESTIONS = {"k_s": "How stiff?", "k_d": "How damped?", "|F|": "How hard?", "mean F": "How hard?"}
-QUESTIONS |= {"k_d/k_s": "Damping over stiffness", "|F|/k_s": "Force over stiffness"}
-"""Headings of numbers by symbol."""
 
 
 def clip_folders(output: Path) -> list[Path]:
@@ -79,7 +74,8 @@ def clip_of(folder: Path) -> dict[str, Any]:
         "states": [_explained(name, states[name]) for name in names],
         "warnings": warnings,
         "fixes": {fix: FIXES[fix] for _, fix in warnings if fix in FIXES},
-        "questions": QUESTIONS,
+        "questions": {"k_s": "How stiff?", "k_d": "How damped?", "|F|": "How hard?", "mean F": "How hard?"}
+        | {"k_d/k_s": "Damping over stiffness", "|F|/k_s": "Force over stiffness"},
         "own_units": OWN_UNITS,
         "curves": _curves(record, frames, contacts, first),
     }
@@ -131,7 +127,8 @@ def _curves(
 ) -> dict[str, Any]:
     """Return values that the page's script draws, by frame and by contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "contacts": []}
-    for name in ("frame", "time_s", *CURVES):
+    drawn = ("stiffness", "stiffness_low", "stiffness_high")
+    for name in ("frame", "time_s", *drawn):
         found[name] = [frame[name] for frame in frames]
     # The page opens at the last frame of the contact that is known best.
     *_, end = [-1.0] if first is None else [-1.0, *first["forces"]["time_s"]]
@@ -144,7 +141,7 @@ def _curves(
     for contact in contacts:
         row, forces = contact["row"], contact["forces"]
         # A pull determines no stiffness: its press, if one was fitted, would only hide the rest.
-        values = {name: None if contact["name"] == "relative_force" else row[name] for name in CURVES}
+        values = {name: None if contact["name"] == "relative_force" else row[name] for name in drawn}
         values |= {"sure": "stiffness" in row["determined"], "words": contact["words"], "flat": contact["flat"]}
         values |= {x: forces[x] for x in ("unit", "time_s", "frame_s", "force", "force_low", "force_high")}
         found["contacts"].append(values)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 Failure = tuple[str, str]
 """Name of a clip that has no results, and the sentence that says why."""
-INDEX, CLIP = store.PAGES
 
 
 def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> Path:
@@ -33,13 +32,13 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
         OutputError: a page can't be written, or a file that this program did not write is in its place.
     """
     environment, rows, failures, foreign = _environment(), [], list(failed), None
-    colors = {name: note.color for name, note in NOTES.items()}
+    (index, clip_page), colors = store.PAGES, {name: note.color for name, note in NOTES.items()}
     with store.writing(output):
         for folder in clip_folders(output):
-            page, text = folder / CLIP, ""
+            page, text = folder / clip_page, ""
             try:
                 summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
-                if summary["page"] == CLIP and (anew or not page.exists() or page.stat().st_mtime_ns < made):
+                if summary["page"] == clip_page and (anew or not page.exists() or page.stat().st_mtime_ns < made):
                     shown = clip_of(folder)
                     text = environment.get_template("clip.html").render(clip=shown, colors=colors)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
@@ -53,10 +52,10 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
             except ForeignFile as error:
                 foreign = error
         shown = {"clips": rows, "failures": failures, "colors": colors}
-        write_own(output / INDEX, environment.get_template("index.html").render(shown))
+        write_own(output / index, environment.get_template("index.html").render(shown))
         if foreign is not None:
             raise foreign
-    return output / INDEX
+    return output / index
 
 
 @functools.cache

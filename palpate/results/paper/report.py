@@ -27,12 +27,6 @@ REGIMES = {
     "no motion": "error_no_motion",
 }
 """Column of the table of frames by simulated parameters, in the order of tables."""
-DEPTHS = {
-    "decoded next depth": "next_depth_error",
-    "last frame repeated": "copy_error",
-    "θ in the farthest corner of the box": "theta_sensitivity",
-}
-"""Column of the table of frames by what is compared with the next depth map (the last: with the decoded one)."""
 FILES = "figure3.png", "table_2.csv", "comparisons.csv", "depth.csv", "motion.csv", "spread.csv", "per_frame.csv"
 
 
@@ -61,15 +55,17 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         EvaluationError: there are no records.
     """
     if not records:
-        problem = "no test pair is in contact, so there is nothing to evaluate;"
-        raise EvaluationError(f"{problem} check the split and the counts by status that the data preparation prints.")
+        raise EvaluationError("no test pair is in contact; check the split, and the preparation's counts by status.")
     records = sorted(records, key=lambda record: (record["clip"], record["frame"]))
     contacts = [
         Interaction(one["mesh"], one["load"], {"point": one["observation"]}, mechanics.time_step) for one in records
     ]
     names = "theta", "trajectory", "reference_trajectory"
     theta, predicted, reference = (np.array([record[name] for record in records], float) for name in names)
-    frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()])
+    # Columns by what is compared with the next depth map (the last: with the decoded one).
+    depths = {"decoded next depth": "next_depth_error", "last frame repeated": "copy_error"}
+    depths |= {"θ in the farthest corner of the box": "theta_sensitivity"}
+    frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *depths.values()])
     frames[list(PARAMETERS)] = as_reported(theta, bounds)
     constant = simulated.fit_constant_theta(training, bounds, mechanics)[0]
     frames["error_constant"] = simulated.simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan
@@ -89,7 +85,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         "comparisons.csv": {
             name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED
         },
-        "depth.csv": {name: summarise(frames[column], clips) for name, column in DEPTHS.items()},
+        "depth.csv": {name: summarise(frames[column], clips) for name, column in depths.items()},
         "motion.csv": motion,
     }
     found = {name: pd.DataFrame.from_dict(dict(rows), orient="index") for name, rows in tables.items()}

@@ -19,7 +19,6 @@ from palpate.physics.mechanics import PARAMETERS, Bounds
 
 Statistics = dict[str, float]
 Interval = tuple[float, float]
-NO_INTERVAL = math.nan, math.nan
 
 
 def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["BCa", "percentile"]) -> Interval:
@@ -34,7 +33,7 @@ def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["B
 def bca_interval(values: pd.Series) -> Interval:
     """Return the BCa bootstrap interval of the mean of values [n], taken as independent."""
     if len(values) < 5 or values.nunique() == 1:
-        return NO_INTERVAL
+        return math.nan, math.nan
     return _bootstrap((values.to_numpy(),), np.mean, "BCa")
 
 
@@ -43,7 +42,7 @@ def clip_interval(values: pd.Series, clips: np.ndarray) -> Interval:
     `clips`."""
     by_clip = values.groupby(clips)
     if by_clip.ngroups < 3:
-        return NO_INTERVAL
+        return math.nan, math.nan
 
     def mean(totals: np.ndarray, sizes: np.ndarray, axis: int = -1) -> np.ndarray:
         return totals.sum(axis=axis) / sizes.sum(axis=axis)

@@ -102,8 +102,7 @@ class Calibration:
         if self.measured is not None:
             forces = force_scale.measured_presses(runs, self.measured)
             if not forces:
-                problem = "No results in newtons: in no run of contact with an estimate"
-                raise NoEstimate(f"{problem} {LEAST_KNOWN} or more forces are known.")
+                raise NoEstimate(f"No results in newtons: no estimated run of contact has {LEAST_KNOWN} known forces.")
             frames = ", ".join(str(frame) for frame, *_ in forces)
             return force_scale.scale_by_force(runs, forces, f"forces measured at frame {frames}")
         given = self.fields
@@ -112,8 +111,8 @@ class Calibration:
             at = np.array([given.force_time_s])
             here = [run for run in runs if run.pressing(at)[0]]
             if not here:
-                problem = f"No results in newtons: no press was estimated in contact at {given.force_time_s:g} s,"
-                raise NoEstimate(f"{problem} when the force is known.")
+                problem = f"no press was estimated at {given.force_time_s:g} s, when the force is known"
+                raise NoEstimate(f"No results in newtons: {problem}.")
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
             source = f"known force of {given.force_N:g} N at frame {frame}"
             return force_scale.scale_by_force(runs, [(frame, given.force_N, log_sd)], source)
@@ -121,8 +120,8 @@ class Calibration:
             source = f"known stiffness of {given.stiffness:g} N/m"
             log_sd = given.stiffness_sd / given.stiffness
             return force_scale.scale_by_stiffness(given.stiffness, log_sd, length, source)
-        if self.young is None or given.thickness_m is None:
-            raise NoEstimate("Nothing that the file holds tells newtons.")
+        assert self.young is not None
+        assert given.thickness_m is not None
         young, young_sd = self.young
         log_sd = float(np.hypot(young_sd, given.thickness_sd_m / given.thickness_m))
         source = f"palpation, E = {young:.4g} Pa, in a sheet of {1000 * given.thickness_m:g} mm"

@@ -10,7 +10,7 @@ exactly.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from palpate.physics.mechanics import PARAMETERS
 SHEET_FACTOR = 0.75
 """k_s over E·thickness: the stiffness of a sheet of the mesh's springs, averaged over directions. With two sides and a
 diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so its Young's modulus 4/3 k_s."""
-MASS, STIFFNESS = "mass", "stiffness"
-EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
-"""b by the property that contacts share."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +108,8 @@ class ForceScale:
     """Logarithm g of the scale: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
     variance: float
     """Variance of g."""
-    homogeneous: str
-    """The property that contacts share, MASS or STIFFNESS."""
+    homogeneous: Literal["mass", "stiffness"]
+    """Property that contacts share."""
     source: str
     """Source of the scale, in words."""
     used: dict[int, float]
@@ -120,13 +117,13 @@ class ForceScale:
 
     def of(self, run: PressedRun, length: ClipLength) -> "Physical":
         """Convert a run to physical units."""
-        to_physical = np.eye(3) + EXPONENTS[self.homogeneous]
-        metric = length.metres is not None
+        known, metric = self.homogeneous == "stiffness", length.metres is not None
+        powers = np.array([-1.0 * known, 0.0, 0.0])  # b
+        to_physical = np.eye(3) + powers
         mean = to_physical @ run.logs + self.log
         if length.metres is not None:
             mean[:2] -= math.log(length.metres)
         # A known stiffness is per metre: what its contacts have per metre doesn't depend on a scene unit's length.
-        known = self.homogeneous == STIFFNESS
         length_error = np.array([known - metric, known - metric, known], np.float64) * length.log_sd
         weight = self.used.get(run.onset_frame, 0.0)
 
@@ -135,7 +132,7 @@ class ForceScale:
                 return None
             # Where this run determined g, g = … - weight·(F's row)·φ.
             # [0, 0, 1] picks log |F| from φ.
-            shared = -weight * to_physical @ own @ (np.array([0.0, 0.0, 1.0]) + EXPONENTS[self.homogeneous])
+            shared = -weight * to_physical @ own @ (np.array([0.0, 0.0, 1.0]) + powers)
             found = to_physical @ own @ to_physical.T + shared[:, None] + shared + self.variance
             return found + np.outer(length_error, length_error)
 
@@ -193,20 +190,18 @@ def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], source:
             continue
         if not run.explained:
             why = f"the model does not explain the motion of the run at frame {frame}, whose force is known"
-            continue
-        if run.expected is not None and not run.expected[2, 2] < LIMIT**2:
+        elif run.expected is not None and not run.expected[2, 2] < LIMIT**2:
             why = f"the estimated force of the run at frame {frame}, whose force is known, is not determined"
-            continue
-        own = 0.0 if run.covariance is None else float(run.covariance[2, 2])
-        found[frame] = math.log(force) - float(run.logs[2]), log_sd**2 + own
+        else:
+            own = 0.0 if run.covariance is None else float(run.covariance[2, 2])
+            found[frame] = math.log(force) - float(run.logs[2]), log_sd**2 + own
     if not found:
         raise NoEstimate(f"No results in newtons: {why}.")
-    precise = {frame: 1 / max(variance, 1e-12) for frame, (_, variance) in found.items()}
-    total = sum(precise.values())
-    weights = {frame: value / total for frame, value in precise.items()}
-    log = sum(weights[frame] * value for frame, (value, _) in found.items())
-    variance = sum(weights[frame] ** 2 * spread for frame, (_, spread) in found.items())
-    return ForceScale(log, variance, MASS, source, weights)
+    logs, variances = np.array([*found.values()]).T
+    weights = 1 / np.maximum(variances, 1e-12)
+    weights /= weights.sum()
+    used = dict(zip(found, weights.tolist(), strict=True))
+    return ForceScale(float(weights @ logs), float(weights**2 @ variances), "mass", source, used)
 
 
 def measured_presses(runs: Sequence[PressedRun], measured: KnownForce) -> list[KnownPress]:
@@ -238,4 +233,4 @@ def scale_by_stiffness(value: float, log_sd: float, length: ClipLength, source: 
     if length.metres is None:
         problem = "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't;"
         raise NoEstimate(f"{problem} give metres_per_depth in the camera file, or --shaft-diameter.")
-    return ForceScale(math.log(value * length.metres), log_sd**2, STIFFNESS, source, {})
+    return ForceScale(math.log(value * length.metres), log_sd**2, "stiffness", source, {})

@@ -59,8 +59,8 @@ class GanEstimator(ModelEstimator):
     def __init__(self, model: ParameterModel) -> None:
         super().__init__(model)
         if (observation := model.metadata.get("observation", "final")) != "final":
-            problem = f"{model.path} was trained with observation {observation} and head parameters;"
-            raise ModelFileError(f"{problem} train it with observation final, or with head posterior.")
+            problem = f"was trained with observation {observation} and head parameters; train it with observation final"
+            raise ModelFileError(f"{model.path} {problem}, or with head posterior.")
 
     def start(self, clip: ClipInfo) -> "GanSession":
         """Open a session."""

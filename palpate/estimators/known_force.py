@@ -72,8 +72,9 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
     """
     some = np.isfinite(known)
     if some.sum() < LEAST_KNOWN or not signal[some].any():
-        problem = f"The force is known in {int(some.sum())} frames that move;"
-        raise NoEstimate(f"{problem} {LEAST_KNOWN} are needed for the other frames.")
+        raise NoEstimate(
+            f"The force is known in {some.sum()} frames that move; {LEAST_KNOWN} are needed for the others."
+        )
     factor, variance, residual = fit_factor(signal[some], known[some])
     sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
     return factor * signal, sd

@@ -107,8 +107,7 @@ def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSe
 def _require_file(model: ExportedModel, option: str, name: str) -> None:
     """Raise a ModelFileError unless the model file that the metadata names, without its folder, exists here."""
     if name.endswith(".onnx") and not isfile(Path(name)):
-        problem = f"{model.path} was trained with {option} from {name};"
-        raise ModelFileError(f"{problem} give that file's path as --{option}.")
+        raise ModelFileError(f"{model.path} was trained with {option} from {name}; give that file as --{option}.")
 
 
 def check_sources(settings: PrepareSettings) -> None:

@@ -15,8 +15,6 @@ from palpate.observations.kinds import OBSERVATIONS
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
 UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
-PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
-NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 RECORDED = ("depth", "shading")
 """Observations that are recorded of every run where they can be."""
 
@@ -85,11 +83,11 @@ class Run:
     def unobserved(self) -> str:
         """Reason why nothing can be estimated of a run without observations, or without contact."""
         if self.passed:
-            return PASSED
+            return "No contact: the instrument moves, and the tissue next to it does not move with it."
         if self.builder is None:
             doubt = UNDECIDED if self.undecided and not self.contact >= CERTAIN else ""
             return f"{doubt} {self.detail or NO_ONSET}".strip()
-        return f"{self.detail} {NOT_FOLLOWED}".strip()
+        return f"{self.detail} The tissue at the contact could not be followed after its onset.".strip()
 
 
 class RunTracker:

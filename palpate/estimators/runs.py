@@ -27,7 +27,6 @@ from palpate.estimators.run_tracker import RECORDED, UNDECIDED, Run, RunTracker
 from palpate.physics.mechanics import Bounds, Mechanics
 
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
-ELSEWHERE = "The dent lies {:.0f} px beside the detected contact; it is what is estimated."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 
@@ -128,7 +127,10 @@ class RunSession:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
                     contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
-                doubts = f"{ELSEWHERE.format(math.hypot(*aside)) if any(aside) else ''} {found.refuted}".strip()
+                beside = (
+                    f"The dent lies {math.hypot(*aside):.0f} px beside the detected contact; it is what is estimated."
+                )
+                doubts = f"{beside if any(aside) else ''} {found.refuted}".strip()
             else:
                 found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:

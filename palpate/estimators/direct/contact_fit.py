@@ -33,25 +33,14 @@ from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import Mechanics
 
-AT_BOUND = 1e-3
-"""Best fits this near to the end of their range in φ lie at it."""
-DELAY_AT_END = 0.9
-"""Delays beyond this share of their range lie at its end: the press may have begun outside of it."""
-TRUST = 2 / 3
-"""Share of the posterior that must agree that a contact determines its parameters. Half would trust the prior, which
-holds more pliable tissue than there is; two thirds and more gave the most right verdicts on validation clips."""
 
-
-def concluded(
-    problem: JointLikelihood, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None
-) -> PressResult:
+def concluded(problem: JointLikelihood, box: np.ndarray, combined: Combined, draws: Draws | None) -> PressResult:
     """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
 
     Args:
         problem: that was fitted.
         box: lower and upper ends of all parameters, shape [2, D].
-        optima: all that were found.
-        combined: mean [D] and covariance [D, D] of all parameters by these, and the best of them.
+        combined: mean [D] and covariance [D, D] of all parameters by the optima, and the best of these.
         draws: of the posterior, which say them better; None = there are too few.
     """
     prior, (mean, spread, best) = box_information(box), combined
@@ -90,30 +79,26 @@ def press_fields(
     motion, delays = problem.motion, logs[problem.motion.delays]
     course = PressCourse(
         *(motion.within * delays).tolist(),
-        at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
+        at_end=bool((np.abs(delays) > 0.9).any()),  # the press may have begun or ended beyond
         shape=motion.shape(problem.press(mean)),
         view_angle=view_angle(problem.first.contact),
     )
-    at_bound = np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND
+    at_bound = np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < 1e-3
     return {"theta": motion.theta(mean), "at_bound": at_bound, "course": course}
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the one of several draws' information [3, 3] that a share TRUST of them equals or exceeds.
+    """Return the one of several draws' information [3, 3] that two thirds of them equal or exceed.
 
-    How much a motion tells depends on θ itself. A verdict at the mean alone would be as uncertain as that.
+    The information of a motion depends on θ itself. A verdict at the mean alone would be as uncertain as that.
     """
     order = sorted(information, key=lambda found: float(bounds(found).max()))
-    return order[math.ceil(TRUST * len(order)) - 1]
+    # Half would trust the prior, with its too pliable tissue; two thirds and more gave the most right verdicts.
+    return order[math.ceil(2 / 3 * len(order)) - 1]
 
 
 FITS = 3
 """Starts that are fitted to the end; where there are more, the best of them."""
-LEAST_EXCESS, REFUTES = 1.1, 5.0
-"""A step on a vertex is refuted by a larger misfit than the first, if its square lies more standard deviations above 1
-than the second: 16 patches of validation clips gave 23 and more, with misfits from 1.2 on."""
-ASIDE = 2
-"""Farthest vertex to which a contact is moved, along an axis [grid pixels]."""
 NARROW = 0.1
 """Standard deviation of log θ below which a posterior counts as normal and is not sampled."""
 
@@ -150,7 +135,7 @@ def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray)
         found = _sample_field(problem, optima, best, box, scale)
         # Fewer effective draws say less than the optima themselves.
         draws = found if found.effective >= 10.0 else None
-    return concluded(problem, box, optima, (mean, spread, best), draws)
+    return concluded(problem, box, (mean, spread, best), draws)
 
 
 def fit_press(
@@ -171,7 +156,8 @@ def fit_press(
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
     misfit, counted = step.misfit(best.logs), step.first.counted
-    if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
+    # Refuted is a misfit above 1.1 whose square lies 5 standard deviations above 1; patches in validation gave 23.
+    if misfit < 1.1 or (misfit**2 - 1) * math.sqrt(counted / 2) < 5.0:
         return sampled(step, plain, tissue)
     elsewhere, aside = recentred(step, best.logs)
     if tries and any(aside):
@@ -195,12 +181,13 @@ def recentred(problem: JointLikelihood, logs: np.ndarray) -> tuple[Interaction, 
         The contact there, and by how many rows and columns it was moved.
     """
     contact, sequence, side = problem.first.contact, problem.first.contact.observations["depth"], 2 * REACH + 1
+    aside = 2  # farthest vertex along an axis [grid pixels]
     simulated = problem.first.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
-    wide = np.pad(sequence.change, ((0, 0), (ASIDE, ASIDE), (ASIDE, ASIDE)), constant_values=np.nan)
+    wide = np.pad(sequence.change, ((0, 0), (aside, aside), (aside, aside)), constant_values=np.nan)
     pixels, found = contact.mesh.pixels, []
-    for row, column in itertools.product(range(-ASIDE, ASIDE + 1), repeat=2):
+    for row, column in itertools.product(range(-aside, aside + 1), repeat=2):
         vertex = np.flatnonzero((pixels == pixels[contact.vertex] + (row, column)).all(axis=1))
-        change = wide[:, ASIDE + row : ASIDE + row + side, ASIDE + column : ASIDE + column + side]
+        change = wide[:, aside + row : aside + row + side, aside + column : aside + column + side]
         inner = np.isfinite(change - simulated)
         dent, shown = simulated[inner], change[inner].astype(np.float64)
         if len(vertex) and len(dent):

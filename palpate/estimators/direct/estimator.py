@@ -133,21 +133,17 @@ class DirectSession(RunSession):
         Raises:
             NoEstimate: fewer than three observations, or no noise level.
         """
-        estimator, within = self.estimator, self._within * contact.intervals
-        settings = estimator.settings
+        settings, within = self.estimator.settings, self._within * contact.intervals
+        how = self.mechanics, within, settings.noise, self.estimator.log_box
         if settings.observation not in ((), ("depth",)):
-            what = self.mechanics, within, settings.noise, estimator.log_box
-            found = fit_together(contact, settings.observation, *what)
-            return found, simulated_motion(contact, found, self.mechanics)
-        if contact.sequence is None:
+            found = fit_together(contact, settings.observation, *how)
+        elif contact.sequence is None:
             raise NoEstimate("The depth's noise isn't known; set --smoothing above 0, or give --noise.")
-        count = min(len(contact.observation), len(contact.sequence.times))
-        if count < LEAST_OBSERVATIONS:
-            raise NoEstimate(
-                f"The tissue around the contact was followed over {count} frames after its onset; "
-                f"{LEAST_OBSERVATIONS} are needed."
-            )
-        found = fit_press(contact, self.mechanics, within, settings.noise, estimator.log_box)
+        elif (count := min(len(contact.observation), len(contact.sequence.times))) < LEAST_OBSERVATIONS:
+            problem = f"The tissue around the contact was followed over {count} frames after its onset;"
+            raise NoEstimate(f"{problem} {LEAST_OBSERVATIONS} are needed.")
+        else:
+            found = fit_press(contact, *how)
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:
@@ -180,21 +176,18 @@ def fitted_press(contact: Interaction, found: PressResult, time_step: float, ste
 
 def doubts(found: PressResult, bounds: Bounds) -> str:
     """Return sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
-    oblique = remark(found)
-    sentences = [oblique] if oblique else []
-    if found.refuted:
-        sentences.append(found.refuted)
+    sentences = [remark(found), found.refuted]
     if found.misfit > found.largest_misfit:
+        # An oblique one was widened by its misfit.
+        doubt = "" if sentences[0] else ", so the uncertainties are too small"
         sentences.append(
-            f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it"
-            # An oblique one was widened by its misfit.
-            + ("." if oblique else ", so the uncertainties are too small.")
+            f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it{doubt}."
         )
     if found.course.at_end:
         sentences.append(
-            "The press seems to have begun or ended a whole frame from where it was seen to; don't trust the fit."
+            "The press seems to begin or end a whole frame from where it was seen to; don't trust the fit."
         )
     for name, stuck, (low, high) in zip(PARAMETERS, found.at_bound, np.exp(bounds.log_box).T, strict=True):
         if stuck:
             sentences.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
-    return " ".join(sentences)
+    return " ".join(filter(None, sentences))

@@ -20,11 +20,8 @@ from palpate.physics.msd.simulation import simulate, simulate_tangent
 
 FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
 """The default integrator; its own error must lie below the noise: of second order, with half the paper's step."""
-FINER = 4
-"""Parts into which a step is divided to see its error."""
 _OTHERS = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 1.0, 1.0], [3.0, 3.0, 3.0, 2.0]])
 """Node triples: four nodes in a row, the three others of each one."""
-_SCALE = (np.arange(4.0) - _OTHERS).prod(axis=0)
 
 
 class PressMotion:
@@ -153,9 +150,9 @@ class PressMotion:
 
     def finer(self, logs: np.ndarray) -> np.ndarray:
         """Return the displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""
-        mechanics = dataclasses.replace(self.mechanics, time_step=self.mechanics.time_step / FINER)
-        path = self._path(logs, mechanics, FINER * self.longest, np.float64)
-        return self._shown(path, FINER * (self.steps + 1), mechanics, logs)
+        mechanics = dataclasses.replace(self.mechanics, time_step=self.mechanics.time_step / 4)
+        path = self._path(logs, mechanics, 4 * self.longest, np.float64)
+        return self._shown(path, 4 * (self.steps + 1), mechanics, logs)
 
     def coarse(self, logs: np.ndarray) -> np.ndarray:
         """Return the displacements with a coarse time step and in single precision, shape [N, M, 3]."""
@@ -219,7 +216,8 @@ def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tu
     place = np.clip(times / time_step, 0, len(values))
     first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(values) - 3)
     one, two, three = ((place - first)[:, None] - others for others in _OTHERS)
-    weights = np.stack([one * two * three, (one * two + two * three + three * one) / time_step], axis=1) / _SCALE
+    weights = np.stack([one * two * three, (one * two + two * three + three * one) / time_step], axis=1)
+    weights /= (np.arange(4.0) - _OTHERS).prod(axis=0)
     # After step i is values[i - 1]; at the beginning all is 0.
     steps = first[:, None] + np.arange(-1, 3)
     weights = np.where(steps[:, None] < 0, 0.0, weights)

@@ -15,12 +15,6 @@ from palpate.physics.load import Press, PressShape
 
 RADII = (1.0, 8.0)
 """Radii of patches [grid pixels]: at the least it is one vertex, and dents are visible as far as 7."""
-ASTRAY = 2.5
-"""Largest distance of a patch's middle from the contact vertex along an axis [grid pixels]."""
-MOST_LEAN = 0.85
-"""Largest share of the force along the surface to that along the normal, along an axis: 40 degrees."""
-STEPS = np.array([0.02, 0.05, 0.05, 0.02, 0.02, 0.02, 0.02])
-"""Differences that give the derivatives by these parameters: small against the bounds, large against rounding."""
 
 
 class PatchMotion(PressMotion):
@@ -49,7 +43,8 @@ class PatchMotion(PressMotion):
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Return the box, as in `PressMotion`, with the shape's parameters behind."""
-        ends = [np.log(RADII), *2 * [(-ASTRAY, ASTRAY)], *2 * [(-MOST_LEAN, MOST_LEAN)], (0.0, 1.0)]
+        # A patch's middle lies up to 2.5 grid pixels from the vertex along an axis, a force leans by up to 40 degrees.
+        ends = [np.log(RADII), *2 * [(-2.5, 2.5)], *2 * [(-0.85, 0.85)], (0.0, 1.0)]
         if self.contact.released:
             ends.append((0.0, 1.0))
         return np.hstack([super().box(tissue), np.array(ends).T])
@@ -82,7 +77,9 @@ class PatchMotion(PressMotion):
         """Return derivatives by the shape's parameters: differences towards the middle of their range."""
         middles = self.box(np.zeros((2, 3))).mean(axis=0)
         here, found = self.quick(logs), []
-        for index, size in enumerate(STEPS[: len(logs) - self.delays.stop], self.delays.stop):
+        # Small against the bounds, large against rounding.
+        steps = (0.02, 0.05, 0.05, 0.02, 0.02, 0.02, 0.02)
+        for index, size in enumerate(steps[: len(logs) - self.delays.stop], self.delays.stop):
             changed = np.array(logs, np.float64)
             size = size if logs[index] < middles[index] else -size
             changed[index] += size

@@ -15,16 +15,12 @@ from palpate.physics.identifiability import fisher_information
 from palpate.physics.likelihood import LeastSquares
 from palpate.physics.mechanics import Mechanics
 
-CANDIDATES = 128
-"""Points of a Sobol sequence over the box among which the starts are chosen: an under-damped response has many local
-optima, one for every number of swings."""
 STARTS = 6
 """Fits, begun at the candidates that explain the data best."""
 DELAYS = np.linspace(-1, 1, 17)
 """Delays that are tried for every start, in units of the largest."""
 APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
-TOLERANCE = 1e-6
 
 
 def dent_problem(
@@ -66,8 +62,11 @@ def chosen_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
     return apart(np.array(tried), np.array(misfits), *box, STARTS)
 
 
-def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = CANDIDATES) -> np.ndarray:
-    """Return points of a Sobol sequence over a box of D parameters, a power of two of them, shape [count, D]."""
+def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = 128) -> np.ndarray:
+    """Return points of a Sobol sequence over a box of D parameters, a power of two of them, shape [count, D].
+
+    So many since an under-damped response has many local optima, one for every number of swings.
+    """
     from scipy.stats.qmc import Sobol  # takes seconds to load
 
     return low + Sobol(len(low), rng=0).random(count) * (high - low)
@@ -133,8 +132,7 @@ def find_optimum(
     value = 0.5 * float(np.square(problem.residual(start)).sum()) if fall else 1.0
     end = least_squares(
         problem.residual, start, problem.jacobian, tuple(box), method="trf", x_scale="jac",
-        ftol=max(TOLERANCE, fall / max(value, fall)), xtol=TOLERANCE, gtol=TOLERANCE,
-        max_nfev=evaluations
+        ftol=max(1e-6, fall / max(value, fall)), xtol=1e-6, gtol=1e-6, max_nfev=evaluations
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 

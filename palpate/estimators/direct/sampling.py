@@ -23,8 +23,6 @@ ENOUGH = 100.0
 """Effective draws after which no further round is made: a mean is then within a tenth of a standard deviation."""
 ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
-KEPT = 0.1
-"""Share of a component's former covariance in the moved one, so that few draws don't make it flat."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,8 @@ class Mixture:
         spreads = np.einsum("nk,nki,nkj->kij", parts, apart, apart)
         # Moved components are this much wider than the draws that they follow, in standard deviations.
         shape = 1.2**2 * (FREEDOM - 2) / FREEDOM
-        return Mixture(shares, means, (1 - KEPT) * shape * spreads + KEPT * self.scales[used])
+        # A tenth of a component's former covariance stays, so that few draws don't make it flat.
+        return Mixture(shares, means, 0.9 * shape * spreads + 0.1 * self.scales[used])
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,6 @@ from palpate.models.onnx_export import calibrate, export
 from palpate.models.onnx_session import PosteriorModel
 from palpate.models.posterior import ContactPosterior
 
-RESULTS, RECORD = "results.jsonl", "run.json"
-"""Files that the benchmark writes into its folder."""
-
 
 def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
     """Return widths with which the network's intervals have the right coverage, over all suites together.
@@ -81,7 +78,7 @@ def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str =
     Raises:
         ValueError: no record, another split than validation, other frames, or another file.
     """
-    record = read_mapping(folder / RECORD, "a record of the benchmark")
+    record = read_mapping(folder / "run.json", "a record of the benchmark")
     for name, value in {"split": "validation", "seen": seen}.items():
         if record.get(name) != value:
             remedy = f"with --{name} {value}" if value else f"without --{name}"
@@ -104,11 +101,11 @@ def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, ons
     rows = []
     for folder in folders:
         check_record(folder, model_sha256, seen, onset)
+        results = folder / "results.jsonl"
         try:
-            # Largest size of a file of results.
-            rows += map(json.loads, read_file(folder / RESULTS, (2**27)).splitlines())
+            rows += map(json.loads, read_file(results, 2**27).splitlines())
         except (OSError, ValueError, RecursionError) as error:
-            raise ValueError(f"{folder / RESULTS} holds no results; run the evaluation into {folder} anew.") from error
+            raise ValueError(f"{results} holds no results; run the evaluation into {folder} anew.") from error
     return rows
 
 
@@ -121,17 +118,14 @@ def metadata(weights: Path) -> dict[str, object]:
     settings = {"bounds": BOUNDS, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
     contact = {"features": FEATURES + SEQUENCE_FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE}
-    made = {
-        "motions": "simulated contacts (palpate.estimators.network.training)",
-        "weights_sha256": file_sha256(weights),
-    }
+    motions = "simulated contacts (palpate.estimators.network.training)"
     return {
         **{name: dataclasses.asdict(values) for name, values in settings.items()},
         "input": {"window": 1, "height": PREPARE.geometry.height, "width": PREPARE.geometry.width},
         "contact": contact | {"press_seconds": pressed},
         **{"observation": "trajectory", "preprocessing_version": PREPROCESSING_VERSION, "masks": "auto"},
         "depth": dataclasses.asdict(PREPARE.depth) | {"source": "auto"},
-        "training": made,
+        "training": {"motions": motions, "weights_sha256": file_sha256(weights)},
     }
 
 

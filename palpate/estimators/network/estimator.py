@@ -29,12 +29,9 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
-FAST_EVERY = 3
-"""Interval between estimates of the rate fast, as in `PrepareSettings.every`."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
 UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
-UNRESOLVED = "Depth shows the dent blurred, unlike in the network's training; use --estimator direct."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
 
@@ -94,7 +91,7 @@ class NetworkEstimator(ModelEstimator):
     def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Return preparation as in the model's training, with the user's choices; in fewer frames by the rate fast."""
         found = super().preparation(chosen)
-        return dataclasses.replace(found, every=FAST_EVERY) if self.settings.rate == "fast" else found
+        return dataclasses.replace(found, every=3) if self.settings.rate == "fast" else found
 
     def start(self, clip: ClipInfo) -> "NetworkSession":
         """Open a session."""
@@ -136,7 +133,8 @@ class NetworkEstimator(ModelEstimator):
         known: dict[str, Any] = {"noise": noise, "misfit": misfit, "at_bound": at_bound, "information": information}
         known |= {"largest_misfit": largest_misfit(len(contact.observation))}
         known |= {"course": PressCourse(view_angle=view_angle(contact))}
-        known["refuted"] = UNRESOLVED if blurred else ""
+        sentence = "Depth shows the dent blurred, unlike in the network's training; use --estimator direct."
+        known["refuted"] = sentence if blurred else ""
         return PressResult(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
 
 
@@ -224,8 +222,7 @@ class NetworkSession(RunSession):
     ) -> tuple[float | None, float | None]:
         """Return lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
         steps = round((frame.frame.time_s - builder.start) / self.mechanics.time_step)
-        moved = frame.track_position - builder.rest
-        observed = finite(float(np.linalg.norm(moved)))
+        observed = finite(float(np.linalg.norm(frame.track_position - builder.rest)))
         if steps == 0:
             return 0.0, observed
         if steps > self.mechanics.steps:

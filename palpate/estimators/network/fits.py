@@ -178,8 +178,8 @@ def _padded(values: np.ndarray) -> np.ndarray:
 
 NOISE = (3e-4, 6e-3)
 """σ is drawn log-uniformly from this range [scene units]."""
-ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
-"""Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
+LEVEL = 1 / 255
+"""Step of depth that is rounded to 8 bits [scene units]."""
 ROUNDING_NOISE = LEVEL / math.sqrt(12)
 """Standard deviation of the rounding error [scene units]."""
 REST_SHARE = 0.1
@@ -198,7 +198,7 @@ def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.
     """
     count = len(motion)
     noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
-    rounded = generator.random(count) < ROUNDING_SHARE
+    rounded = generator.random(count) < 0.25  # share of the samples
     noise[rounded] = ROUNDING_NOISE
     error = noise[:, None] * generator.normal(size=motion.shape)
     depth = motion + generator.uniform(0, LEVEL, (count, 1))

@@ -26,12 +26,6 @@ LARGEST_MISFIT = 1.5
 covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
 TAIL_PROBABILITY = 3.5e-4
 """Probability that noise alone takes 25 observations so far away; fewer may lie farther."""
-PIXEL_RADIUS = 2
-"""Pixels up to this many rows and columns from the contact are compared."""
-MAX_ITERATIONS = 5
-"""Most iterations that find the delays, each to first order."""
-MAX_DELAY_STEP = 0.5
-"""Largest change of a delay in one iteration, in units of the largest delay."""
 
 
 class _PointComparison:
@@ -64,17 +58,15 @@ class _PixelComparison:
     """The pixels around the contact that move; names as in `_PointComparison`."""
 
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
-        # Most frames, evenly chosen, that are compared.
-        frames = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
-        self._depth = DepthLikelihood(
-            contact.mesh, contact.vertex, sequence.chosen(frames), reach=PIXEL_RADIUS, partial=WALL
-        )
+        # Most frames, evenly chosen, and rows and columns from the contact that are compared.
+        frames, reach = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int)), 2
+        self._depth = DepthLikelihood(contact.mesh, contact.vertex, sequence.chosen(frames), reach=reach, partial=WALL)
         self.times, self.compared_times = sequence.times, self._depth.times
         self.blurs = np.zeros((0, 2))
         """Change of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest
         displacements."""
         self.vertices = np.append(contact.vertex, self._depth.vertices)
-        near = np.s_[REACH - PIXEL_RADIUS : REACH + PIXEL_RADIUS + 1]
+        near = np.s_[REACH - reach : REACH + reach + 1]
         change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
         # Pixels that are never hidden; together they show nearly the same tissue all the time.
         own = self._depth.patches.own()
@@ -173,12 +165,12 @@ def _best_delays(
     """
     tried = within * DELAYS
     since = comparison.times - tried[:, None]
-    simulated, ends = between_steps(lasting, step, since.ravel())[0].reshape(-1, 1, len(comparison.times)), tried
+    simulated = between_steps(lasting, step, since.ravel())[0].reshape(-1, 1, len(comparison.times))
     residual = simulated - comparison.observed
     if pressed:
         residual = residual - between_steps(lasting, step, (since - pressed * step).ravel())[0].reshape(since.shape)
     first, last = np.unravel_index(np.argmin(np.square(residual).sum(axis=2)), residual.shape[:2])
-    return float(tried[first]), float(ends[last]) if pressed else 0.0
+    return float(tried[first]), float(tried[last]) if pressed else 0.0
 
 
 def _with_delays(
@@ -201,7 +193,7 @@ def _with_delays(
     found, count = [], 2 if pressed else 1
     whole = np.zeros((count + len(prior), count + len(prior)))
     whole[:count, :count], whole[count:, count:] = np.eye(count) / within**2, prior
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(5):
         moved, rate = between_steps(lasting, step, comparison.compared_times - delays[0])
         rates = [-rate[..., :1]]
         if pressed:
@@ -209,9 +201,9 @@ def _with_delays(
             moved, rates = moved - ended, [*rates, rate[..., :1]]
         residual, slopes = comparison.residual(moved[..., 0], np.concatenate([*rates, moved[..., 1:]], axis=-1))
         later = _nearest(residual, slopes, whole)
-        # The iteration ends once delays change by less than this, in units of the largest delay.
+        # The iteration ends once delays change by less than this; they change by half of the largest delay at most.
         settled = np.abs(later[:count]).max() < 0.05 * within
-        first, last = np.append(np.clip(later[:count], -MAX_DELAY_STEP * within, MAX_DELAY_STEP * within), 0.0)[:2]
+        first, last = np.append(np.clip(later[:count], -0.5 * within, 0.5 * within), 0.0)[:2]
         later_delays = delays[0] + float(first), delays[1] + float(last)
         if settled:
             found.append((_rms(residual + slopes @ later), later_delays))

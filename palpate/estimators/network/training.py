@@ -28,10 +28,6 @@ from palpate.physics.likelihood import Likelihood
 
 ROUGH_BATCH, FINE_BATCH = 64, 512
 """Samples a step of the first stage, and of the others."""
-SCALE_SAMPLES, LEAST_SCALE = 2000, 0.02
-"""Samples that set the inputs' centre and scale, and the least scale of the depth-change sequence's inputs."""
-BLUR_SHARES = 0.3, 0.03
-"""Shares of a contact's largest motion by which σ is raised at the beginning and at the end of the rough stage."""
 
 
 class Made(NamedTuple):
@@ -83,6 +79,8 @@ class SimulatedContacts(ContactData):
     """
 
     contact_features = FEATURES + SEQUENCE_FEATURES
+    scale_samples = 2000
+    """Number of samples that set the inputs' centre and scale."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__()
@@ -112,19 +110,20 @@ class SimulatedContacts(ContactData):
         """
         posterior = self.trainer.lightning_module.posterior
         if stage == 0:
-            posterior.standardise(torch.tensor(np.stack([self.draw()[1] for _ in range(SCALE_SAMPLES)])))
+            posterior.standardise(torch.tensor(np.stack([self.draw()[1] for _ in range(self.scale_samples)])))
         if stage and self.explanations is None:
             quiet = np.stack([made.observed(made.contact.moved, fits.NOISE[0])[1] for made in self.made])
             with torch.no_grad():
                 starts = posterior(torch.from_numpy(quiet))[0].double().numpy()
             self.explanations = self.explained(starts)
         if stage == 1:  # the first stage had none of the sequence's inputs
-            examples = torch.from_numpy(fits.draw_observed(self.explanations, SCALE_SAMPLES, self.first).features)
-            posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
+            examples = torch.from_numpy(fits.draw_observed(self.explanations, self.scale_samples, self.first).features)
+            posterior.standardise(examples, least=0.02, first=FEATURES)
 
     def rough(self, step: int) -> Rough:
         """Return a batch of the first stage by its number."""
-        blur = BLUR_SHARES[0] * (BLUR_SHARES[1] / BLUR_SHARES[0]) ** (step / self.settings.rough_steps)
+        # σ is raised by a share of the largest motion, at the end of the stage by a tenth of the first one.
+        blur = 0.3 * 0.1 ** (step / self.settings.rough_steps)
         batch = [self.draw() for _ in range(ROUGH_BATCH)]
         return Rough(np.stack([features for _, features in batch]), [widened(contact, blur) for contact, _ in batch])
 

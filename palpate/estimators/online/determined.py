@@ -125,14 +125,15 @@ class Fitting:
         return fit._replace(error=held_out) if fit is not None and explained else None
 
 
-STEPPED = "time_step", "foundation"
-"""Uncertain parameters of `Stepping`, known no better than a knot, as first frames identify them in large steps."""
 CHANGE = 0.01
 """Change of log stiffness, for finite differences."""
 
 
 class Determined:
     """One run of contact; N particles, Q points that are compared, K knots of both fields."""
+
+    uncertain = "time_step", "foundation"
+    """Uncertain parameters of `Stepping`, known no better than a knot, as first frames identify them in large steps."""
 
     def __init__(self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer) -> None:
         """Begin at rest.
@@ -145,9 +146,9 @@ class Determined:
         """
         self._objective, self._shown = objective, shown
         rest = objective.body.rest
-        (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
+        (stretch, _), self._shares = knot_shares(rest, len(self.uncertain))
         total = self._shares.shape[2]
-        own = {name: getattr(objective.stepping, name) * math.exp(CHANGE) for name in STEPPED}
+        own = {name: getattr(objective.stepping, name) * math.exp(CHANGE) for name in self.uncertain}
         others = (dataclasses.replace(objective.stepping, **{name: value}) for name, value in own.items())
         self._others = [dataclasses.replace(objective, stepping=stepping) for stepping in others]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
@@ -183,7 +184,7 @@ class Determined:
             places: where the gripped particles are, shape [G, 3] [m].
             seen: displacement of the points, shape [Q, 2] [px]; not observed = NaN.
         """
-        factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
+        factors = np.exp(CHANGE * self._shares[:, :, : -len(self.uncertain)].transpose(0, 2, 1))
         own = np.stack(fields[:2])[:, None]
         distance, shape = np.concatenate([own, own * factors], axis=1)
         fewer = len(distance)
@@ -220,7 +221,7 @@ class Determined:
         To what is likeliest of them if time step and foundation stay as they are, at most so far in a knot's logarithm.
         """
         covariance, likeliest = self._posterior(fields)
-        knots, stepped = slice(-len(STEPPED)), slice(-len(STEPPED), None)
+        knots, stepped = slice(-len(self.uncertain)), slice(-len(self.uncertain), None)
         others = np.linalg.solve(covariance[stepped, stepped], likeliest[stepped])
         way = (likeliest - covariance[:, stepped] @ others - self._projected @ self._logs(fields).ravel())[knots]
         way *= min(1.0, longest / max(float(np.abs(way).max()), 1e-300))

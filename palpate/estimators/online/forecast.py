@@ -45,9 +45,7 @@ class Lattice:
         shown = [(frame, near) for frame, near in shown if near.gripped.any() and near.around.any()]
         shown = [(frame, near) for frame, near in shown if length(near.moved[near.around]) > LEAST_MOTION]
         if not shown:
-            problem = f"In none of {len(frames)} frames the tissue near the"
-            raise NothingMoves(f"{problem} tool moves by {LEAST_MOTION:g} px.")
-
+            raise NothingMoves(f"Tissue near the tool moves by {LEAST_MOTION:g} px in none of {len(frames)} frames.")
         moves = [length(near.moved[near.around]) for _, near in shown]
 
         def off(ratio: float) -> float:

@@ -198,8 +198,7 @@ class Bounds(Checked, group="the bound of "):
         shares = np.stack(fields[:2]) / self.both
         for name, share in zip(("distance", "shape"), shares, strict=True):
             if not ((share > 0) & (share < 1)).all():
-                problem = f"a stiffness of {name} begins on its bounds, 0 and {getattr(self, name):g}, or outside"
-                raise ValueError(f"{problem}; begin inside.")
+                raise ValueError(f"a stiffness of {name} is not within 0 and {getattr(self, name):g}; begin inside.")
         return logit(shares)
 
     @property

@@ -39,10 +39,6 @@ class Adam:
         return values - self.rate * self._mean / (1 - first**self._count) / size
 
 
-SNAPSHOTS, WINDOW = 4, 20
-"""How many earlier states should stay at rest, and of how many frames (Liang 2024, section II-C)."""
-
-
 @dataclass(frozen=True)
 class Method(Checked):
     """Parts of the step that run.
@@ -90,7 +86,8 @@ class Session:
         """
         self.objective, self.method, self.fields = objective, method, fields
         self.positions = objective.body.rest.copy()
-        self._past: deque[np.ndarray] = deque(maxlen=WINDOW)
+        # Earlier states, of which four should stay at rest (Liang 2024, section II-C).
+        self._past: deque[np.ndarray] = deque(maxlen=20)
         self._adam = None
         if (method.name, method.optimizer) == ("PBD-RM-ON", "adam"):
             self._adam, self._logits = Adam(method.rate), objective.bounds.logits(fields)
@@ -129,5 +126,5 @@ class Session:
     def _snapshots(self) -> list[np.ndarray]:
         """Return states evenly out of the window, its ends included, where the paper draws uniformly: runs can be
         repeated."""
-        chosen = np.linspace(0, len(self._past) - 1, min(SNAPSHOTS, len(self._past)))
+        chosen = np.linspace(0, len(self._past) - 1, min(4, len(self._past)))
         return [self._past[index] for index in chosen.round().astype(int)]

@@ -11,11 +11,6 @@ from palpate.estimators.palpation.skin import Match, Skin
 from palpate.physics.fem import Equilibrium, Material, find_equilibrium
 from palpate.physics.fem.linear_system import LinearSystem
 
-OUTLIER = 3.0
-"""Distances beyond this many standard deviations count by their size, not its square (Huber 1964)."""
-GRAZING = 0.2
-"""Cosine of the angle between sight and normal below which a place doesn't count: there sight tells next to nothing."""
-
 
 @dataclass(frozen=True, eq=False)
 class Palpation:
@@ -42,6 +37,11 @@ class Palpation:
 class Bench:
     """A body with its palpations, that counts what it simulates."""
 
+    outlier = 3.0
+    """Distance beyond which a point counts by its size, not its square (Huber 1964) [standard deviations]."""
+    grazing = 0.2
+    """Cosine of the angle between sight and normal below which a place doesn't count: it constrains next to nothing."""
+
     def __init__(self, skin: Skin, held: np.ndarray, palpations: Sequence[Palpation]) -> None:
         self.skin, self.held, self.palpations = skin, held, palpations
         self.forces = [skin.pressed(each.contact, each.tool_radius, each.force) for each in palpations]
@@ -56,8 +56,10 @@ class Bench:
         known = [each.pose_shift < 5e-4 for each in palpations]
         given = [(thinned(each.points), surface, each.pose) for each in palpations]
         self.poses = [each[2] if sure else register(*each, shown=0.02) for sure, each in zip(known, given, strict=True)]
-        self.eyes, self.sights = [], []
-        """Whether the frame's origin sees the surface; where sight comes from, in the sensor's frame, shape [P, 3]."""
+        self.eyes: list[bool] = []
+        """True for palpations whose frame's origin sees the surface."""
+        self.sights: list[np.ndarray] = []
+        """Directions towards the sensor, in its frame, shape [P, 3] each."""
         apart = []
         for pose, each in zip(self.poses, palpations, strict=True):
             match = Match.of(moved(each.points, pose), *surface)
@@ -65,7 +67,7 @@ class Bench:
             back = -each.points / np.maximum(np.linalg.norm(each.points, axis=1, keepdims=True), 1e-300)
             self.eyes.append(bool(np.median((back * normals).sum(axis=1)) > 0))
             self.sights.append(back if self.eyes[-1] else normals)
-            apart.append(np.abs(match.distance / np.maximum((self.sights[-1] * normals).sum(axis=1), GRAZING)))
+            apart.append(np.abs(match.distance / np.maximum((self.sights[-1] * normals).sum(axis=1), self.grazing)))
         self.noise = max(1.4826 * float(np.median(np.concatenate(apart))), 1e-6 * float(np.ptp(skin.vertices)))
         """Noise of the points along the sight, by what of them has not moved [m]."""
 
@@ -103,9 +105,9 @@ class Bench:
     def counting(self, match: Match, cosine: np.ndarray, which: int) -> np.ndarray:
         """Return the mask of the matched points that constrain the body, shape [P], bool."""
         place = match.at(self.skin.triangles, self.skin.vertices)
-        counts = np.isfinite(match.distance) & (cosine > GRAZING) & beside_the_tool(place, self.palpations[which])
+        counts = np.isfinite(match.distance) & (cosine > self.grazing) & beside_the_tool(place, self.palpations[which])
         # A pose that is a little off carries points around a sharp edge, where distances jump.
-        return counts & (self.skin.from_creases(place) > OUTLIER * self.noise)
+        return counts & (self.skin.from_creases(place) > self.outlier * self.noise)
 
 
 def beside_the_tool(place: np.ndarray, palpation: Palpation) -> np.ndarray:

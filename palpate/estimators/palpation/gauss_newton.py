@@ -9,21 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench
+from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.registration import turned
 from palpate.physics.fem import Equilibrium, Material, NoEquilibrium
 
 POISSON = (0.0, 0.495)
 """Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
-CLOSE = 0.3
-"""Change of log E and ν over their standard deviations by the noise, that needs no further simulation: it is made all
-the same, by the derivatives, and what is left is of its square."""
-ROUGH = 1.02
-"""By what factor the error may grow in a step: which points count changes, which roughens it."""
-SHORTEST = 0.01
-"""Share of a step, below which none is tried."""
-FARTHEST, WIDEST = 10.0, 0.15
-"""Factor by which a step changes E at most, and by how much ν moves between two simulations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +60,14 @@ class System:
     """Residuals with a change of relative 1/E and ν from what was simulated, linearised by these and every pose's
     six."""
 
+    close = 0.3
+    """Change of log E and ν that needs no further simulation, over their standard deviations by the noise. It is made
+    all the same, by the derivatives, and its square is left."""
+    rough = 1.02
+    """Factor by which the error may grow in a step: another choice of points roughens it."""
+    shortest = 0.01
+    """Share of a step below which none is tried."""
+
     def __init__(
         self,
         bench: Bench,
@@ -87,10 +86,11 @@ class System:
             moved = state.moved + state.slopes @ change
             match, cosine = bench.matched(skin.vertices + moved, which, pose)
             self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
-            counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
+            counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > bench.grazing / 2)
             if np.count_nonzero(counts) < 12:
-                problem = "fewer than 12 points lie on the surface outside the hole;"
-                raise ValueError(f"{problem} give more, or a smaller hole.")
+                raise ValueError(
+                    "fewer than 12 points lie on the surface outside the hole; give more, or a smaller hole."
+                )
             along = match.normal[counts] / cosine[counts, None]
             met = match.at(triangles, skin.vertices + moved)[counts]
             by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])
@@ -103,7 +103,7 @@ class System:
         """Derivatives by the material's two unknowns and the six of a point's pose, shape [R, 8]."""
         self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
         self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
-        limit, size = OUTLIER * bench.noise, np.abs(self.residual)
+        limit, size = bench.outlier * bench.noise, np.abs(self.residual)
         self.weight = np.minimum(1.0, limit / np.maximum(size, 1e-300))
         self.cost = float(np.mean(np.where(size < limit, size**2, limit * (2 * size - limit))))
         self.noise = float(np.sqrt(np.mean(self.weight * np.square(self.residual))))
@@ -117,16 +117,16 @@ class System:
             step, sd = system.step()
             step = trust * step
             before = 1 + system.change[0]
-            compliance = np.clip(before + step[0], before / FARTHEST, FARTHEST * before)
+            compliance = np.clip(before + step[0], before / 10, 10 * before)
             poisson = np.clip(system.change[1] + step[1], *self.ends)
             change, turns = np.array([compliance - 1, poisson]), step[2:].reshape(-1, 6)
             poses = [turned(pose, part) for pose, part in zip(system.poses, turns, strict=True)]
             following = System(self.bench, self.states, change, poses, self.ends, self.chosen)
-            if following.cost > ROUGH * system.cost and trust > SHORTEST:
+            if following.cost > self.rough * system.cost and trust > self.shortest:
                 trust /= 3
                 continue
             moved, system, trust = change - system.change, following, min(1.0, 2 * trust)
-            if (np.abs(moved) < CLOSE / 6 * sd).all():
+            if (np.abs(moved) < self.close / 6 * sd).all():
                 break
         return system
 
@@ -173,7 +173,7 @@ class System:
     def still(self) -> bool:
         """Return whether the change is too small to need another simulation."""
         sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[:2])
-        return bool((np.abs(self.change) < CLOSE * sd).all())
+        return bool((np.abs(self.change) < self.close * sd).all())
 
     def covariance(self, model_error: float) -> np.ndarray:
         """Return the covariance of (log E, ν), by the sensor's noise and the share of displacements that the model gets
@@ -201,7 +201,7 @@ Fit = tuple[float, float, list[Equilibrium], System]
 
 def ends(poisson: float) -> tuple[float, float]:
     """Return the range within which ν may change between two simulations."""
-    return max(POISSON[0] - poisson, -WIDEST), min(POISSON[1] - poisson, WIDEST)
+    return max(POISSON[0] - poisson, -0.15), min(POISSON[1] - poisson, 0.15)
 
 
 def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
@@ -231,12 +231,12 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
             else:  # no state to go back to, but a stiffer body bears more
                 stiffer *= 4
             # Stiffer than that over the linear law's E, no equilibrium is searched.
-            if trust < SHORTEST or stiffer > 4.0**5:
+            if trust < System.shortest or stiffer > 4.0**5:
                 raise
             continue
         states = states_of(bench, tried, 1.0)
         following = System(bench, states, np.zeros(2), found.poses, ends(aim[1]))
-        if rests and following.cost > ROUGH * system.cost and trust > SHORTEST:
+        if rests and following.cost > System.rough * system.cost and trust > System.shortest:
             trust /= 3
             continue
         step = trust * found.change

@@ -118,8 +118,9 @@ def read_scene(path: Path) -> Scene:
     base = scene.held_below + (1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0)
     still = low <= base
     if (count := int(still.sum())) < 3:
-        problem = f"{printable(path)}: {count} nodes lie below held_below;"
-        raise InputError(f"{problem} give more (lowest: {low.min():.4g} m).")
+        raise InputError(
+            f"{printable(path)}: {count} nodes lie below held_below; give more (lowest: {low.min():.4g} m)."
+        )
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     skin = cover(body, vertices, triangles, vertices[:, axis] <= base)
@@ -128,12 +129,11 @@ def read_scene(path: Path) -> Scene:
 
 def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:
     each = from_mapping(PalpationFile, values, where)
-    points = read_columns(folder / each.points, ("x", "y", "z"), "table of points")
+    points = read_columns(file := folder / each.points, ("x", "y", "z"), "table of points")
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < FEWEST:
-        why = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
-        raise InputError(f"{printable(folder / each.points)} {why}.")
-    _require_metres(folder / each.points, points)
+        raise InputError(f"{printable(file)} holds {len(points)} points; give {FEWEST} or more of the pressed surface.")
+    _require_metres(file, points)
     sizes = each.tool_radius, each.hole, each.pose_shift, each.pose_turn
     return Palpation(np.array(each.force), np.array(each.contact), points, np.array(each.pose, np.float64), *sizes)
 

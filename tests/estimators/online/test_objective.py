@@ -101,5 +101,5 @@ def test_slopes_by_logits_equal_finite_differences():
 
 def test_what_lies_outside_is_refused():
     for shape in (0.15, 0.02, 0.0):  # the paper's first start, and the bounds themselves
-        with pytest.raises(ValueError, match=r"stiffness of shape begins on its bounds, 0 and 0\.02"):
+        with pytest.raises(ValueError, match=r"stiffness of shape is not within 0 and 0\.02"):
             PAPER.logits(FIELDS._replace(shape=np.full(3, shape)))

@@ -148,8 +148,7 @@ def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:
     place = {"source_type": "local", "source": as_json({"uri": str(root)})}
     # MLflow's databases hold 36 characters.
     data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:16], **place)
-    given = DatasetInput(data, [InputTag("mlflow.data.context", command)])
-    logger.experiment.log_inputs(logger.run_id, [given])
+    logger.experiment.log_inputs(logger.run_id, [DatasetInput(data, [InputTag("mlflow.data.context", command)])])
 
 
 def _require_database(path: Path) -> None:

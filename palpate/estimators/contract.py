@@ -72,7 +72,7 @@ class Preparation:
         named |= {"threads": self.threads, "device": self.device}
         return {name: value for name, value in named.items() if value is not None}
 
-    def without_model(self, smoothing: float = SMOOTHING) -> PrepareSettings:
+    def without_model(self, smoothing: float) -> PrepareSettings:
         """Return preparation for estimators without a trained model: smoothed depth, camera motion subtracted.
 
         Args:
@@ -137,6 +137,8 @@ class Estimator(Protocol):
     """Name in the registry."""
     settings: Any = None
     """Settings that a user chooses; None = there are none."""
+    smoothing: float = SMOOTHING
+    """Width over which the resting shape is smoothed, where no model tells [grid px]."""
     live: bool = False
     """True if it estimates while frames come."""
     tells_theta: bool = True
@@ -156,7 +158,7 @@ class Estimator(Protocol):
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
         """Return the preparation of frames for this estimator."""
-        return chosen.without_model()
+        return chosen.without_model(self.smoothing)
 
     def start(self, clip: ClipInfo) -> Session:
         """Open a session."""

@@ -157,8 +157,7 @@ class RunSession:
             sentence = str(reason) if only else ""
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
-            why = f"skill {found.skill:.2f}{elsewhere}"
-            sentence = f"A sheet gripped by the instrument doesn't explain the motion ({why})."
+            sentence = f"A gripped sheet doesn't explain the motion (skill {found.skill:.2f}{elsewhere})."
         elif found is not None and not found.determined:
             sentence = "A gripped sheet explains the motion, but the force over time is too uncertain."
         return dataclasses.replace(record, grip=found, detail=f"{record.detail} {sentence}".strip())

@@ -74,18 +74,13 @@ class Extras:
 
 KINDS = (Inference, Preparation, Forces, Extras)
 """Groups of options, in the order of the help."""
-SETTINGS: dict[str, str] = {
-    field.metadata["setting"]: flag_of(name)
-    for name, field in Preparation.__dataclass_fields__.items()
-    if "setting" in field.metadata
-}
-"""Options by the names that messages of other modules give them."""
 
 
 def in_options(text: str) -> str:
-    """Return a sentence that calls settings by the options that they are here."""
-    for setting, flag in SETTINGS.items():
-        text = text.replace(setting, flag)
+    """Return a sentence of another module that calls settings by the options that they are here."""
+    for name, field in Preparation.__dataclass_fields__.items():
+        if "setting" in field.metadata:
+            text = text.replace(field.metadata["setting"], flag_of(name))
     return text
 
 

@@ -80,9 +80,7 @@ ALARMS: dict[str, tuple[str, Color | None]] = {
 
 def state(result: FrameEstimate | InteractionEstimate) -> str:
     """Return the verdict of a frame or a contact, or why it has none."""
-    if isinstance(result, FrameEstimate):
-        return result.verdict or result.status
-    return result.verdict or "no_estimate"
+    return result.verdict or (result.status if isinstance(result, FrameEstimate) else "no_estimate")
 
 
 def in_words(name: str) -> str:

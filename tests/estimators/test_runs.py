@@ -197,7 +197,7 @@ def test_a_grip_that_is_not_explained_says_so() -> None:
     record = InteractionEstimate(0, 0, 0.0, detail="No onset.")
     found = module.RunSession(clip_info(), Mechanics())._gripped(record, recorder, True)
     assert found.grip is grip
-    assert found.detail == "No onset. A sheet gripped by the instrument doesn't explain the motion (skill 0.20)."
+    assert found.detail == "No onset. A gripped sheet doesn't explain the motion (skill 0.20)."
 
 
 @pytest.mark.parametrize(("name", "followed"), [("direct", True), ("network", False)])

@@ -19,8 +19,7 @@ from palpate.common.options import option
 from palpate.common.settings import LARGEST
 from palpate.data.contact.interaction import SHADING, Interaction
 from palpate.data.prepared import PreparedFrame
-from palpate.data.settings import PrepareSettings
-from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
+from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output
 from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.joint import fit_together
 from palpate.estimators.direct.motion import FITTED
@@ -86,7 +85,7 @@ class DirectEstimator(Estimator):
         self, settings: DirectSettings = DirectSettings(), mechanics: Mechanics = FITTED, bounds: Bounds = RECOMMENDED
     ) -> None:
         self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
-        self.log_box = bounds.log_box
+        self.smoothing, self.log_box = settings.smoothing, bounds.log_box
         """Bounds of φ, shape [2, 3]."""
 
     @property
@@ -94,11 +93,6 @@ class DirectEstimator(Estimator):
         """All that the fits depend on besides the clip."""
         model = {"mechanics": dataclasses.asdict(self.mechanics), "bounds": dataclasses.asdict(self.bounds)}
         return super().described | model
-
-    def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Return the preparation: smoothed tissue, the camera's motion subtracted, and otherwise what the user
-        chooses."""
-        return chosen.without_model(self.settings.smoothing)
 
     def start(self, clip: ClipInfo) -> "DirectSession":
         """Open a session."""

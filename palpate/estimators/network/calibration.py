@@ -58,7 +58,7 @@ def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
     Raises:
         ValueError: too few results.
     """
-    rows = [row for row in rows if row["estimator"] == "network" and row["status"] == "ok"]
+    rows = [row for row in rows if (row["estimator"], row["status"]) == ("network", "ok")]
     rows = [row for row in rows if row.get("covariance") is not None]
     estimates, truths = (np.log(np.abs([row[name] for row in rows])).reshape(-1, 3) for name in ("estimate", "theta"))
     covariances = np.array([row["covariance"] for row in rows]).reshape(-1, 3, 3)

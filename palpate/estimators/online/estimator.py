@@ -18,10 +18,9 @@ from palpate.common.robust import affine_motion
 from palpate.common.settings import LARGEST, Checked
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import PreparedFrame
-from palpate.data.settings import PrepareSettings
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
-from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
+from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.particle_field import FieldResult, ParticleField, StiffnessMap
@@ -66,10 +65,6 @@ class OnlineEstimator(Estimator):
 
     def __init__(self, settings: OnlineSettings, smoothing: float = SMOOTHING) -> None:
         self.settings, self.smoothing = settings, smoothing
-
-    def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Return the preparation: smoothed tissue, and otherwise what the user chooses."""
-        return chosen.without_model(self.smoothing)
 
     def start(self, clip: ClipInfo) -> "OnlineSession":
         """Open a session."""

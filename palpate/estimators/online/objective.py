@@ -36,16 +36,9 @@ class Chamfer:
         """Keep what is observed.
 
         Args:
-            cloud: observed points, shape [m, 3] [m].
-            seen: particles of the surface that the camera sees, shape [n].
-
-        Raises:
-            ValueError: an empty or infinite cloud, or nobody seen.
+            cloud: observed points, all finite, shape [m, 3] [m]; one at least.
+            seen: particles of the surface that the camera sees, shape [n]; one at least.
         """
-        if np.ndim(cloud) != 2 or np.shape(cloud)[1:] != (3,) or len(cloud) == 0 or not np.isfinite(cloud).all():
-            raise ValueError(f"the cloud has shape {np.shape(cloud)}; give finite points, [m, 3], one at least.")
-        if len(seen) == 0:
-            raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
         self._tree = KDTree(self.cloud)
 
@@ -74,16 +67,9 @@ class Tracks:
 
         Args:
             places: shares of the particles in every point's position, shape [P, N], rows adding up to 1.
-            observed: where the points are, shape [P, 3] [m]; not observed = NaN.
-
-        Raises:
-            ValueError: shapes that don't fit, nothing seen.
+            observed: where the points are, shape [P, 3] [m]; not observed = NaN, one at least is.
         """
-        if np.shape(observed) != (places.shape[0], 3):
-            raise ValueError(f"observed has shape {np.shape(observed)}; give {(places.shape[0], 3)}.")
         visible = np.isfinite(observed).all(axis=1)
-        if not visible.any():
-            raise ValueError("none of the followed points is seen.")
         self.places, self.observed = places[np.flatnonzero(visible)], np.asarray(observed, np.float64)[visible]
         self._curved = (2 / len(self.observed) * (self.places.T @ self.places)).tocsr()
 
@@ -190,16 +176,8 @@ class Bounds(Checked, group="the bound of "):
     """Bounds of shapes' stiffness, likewise."""
 
     def logits(self, fields: Stiffness) -> np.ndarray:
-        """Return the logits of which `fields` makes those fields, shape [2, N]: distances, then shapes.
-
-        Raises:
-            ValueError: a stiffness on a bound or outside; two of the paper's three starts are.
-        """
-        shares = np.stack(fields[:2]) / self.both
-        for name, share in zip(("distance", "shape"), shares, strict=True):
-            if not ((share > 0) & (share < 1)).all():
-                raise ValueError(f"a stiffness of {name} is not within 0 and {getattr(self, name):g}; begin inside.")
-        return logit(shares)
+        """Return the logits of which `fields` makes those fields, inside the bounds: distances, then shapes [2, N]."""
+        return logit(np.stack(fields[:2]) / self.both)
 
     @property
     def both(self) -> np.ndarray:

@@ -164,17 +164,16 @@ class FieldResult:
             return ""
         left = f"{1 - self.skill:.0%} of the motion"
         if not self.explained:
-            text = f"The fit does not explain the motion: tissue simulated under the instrument alone leaves {left}"
-            return f"{text} ({1 - LEAST_SKILL:.0%} at most count as explained), so no stiffness is given or coloured."
+            text = f"The fit does not explain the motion: it leaves {left} ({1 - LEAST_SKILL:.0%} at most are allowed),"
+            return f"{text} so no stiffness is given or coloured."
         if not self.stretched:
             return ""
         if self.simpler:
-            better, worse = self.skills[SHEET], self.skills[FIELD]
-            text = f"A {SHEET} predicts later frames from earlier ones better (skill {better:.2f}) than stiffness"
-            return f"{text} place by place does ({worse:.2f}), so where it is stiffer is not determined."
+            text = f"A {SHEET} predicts later frames from earlier ones better (skill {self.skills[SHEET]:.2f})"
+            return f"{text} than the field ({self.skills[FIELD]:.2f}), so where it is stiffer is not determined."
         if not self.determined:
-            text = f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined:"
-            return f"{text} others explain the motion as well, so none is given or coloured."
-        shares = [f"{each.known.mean():.0%}" for each in self.last.maps.values()]
-        text = f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at"
-        return f"{text} {shares[0]} of the particles against stretch, at {shares[1]} against bending."
+            return f"The fit leaves {left}, but no place's stiffness is determined: others explain the motion as well."
+        stretch, bending = (f"{each.known.mean():.0%}" for each in self.last.maps.values())
+        return (
+            f"The fit leaves {left}; stiffness is determined at {stretch} (stretch), {bending} (bending) of the tissue."
+        )

@@ -6,7 +6,7 @@ Stiffness is optimised by Adam, as in the paper, or set from outside: by the Gau
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,22 +16,23 @@ from palpate.estimators.online.objective import Match, Objective, Terms
 from palpate.physics.pbd.stiffness import Stiffness
 
 
-@dataclass
 class Adam:
-    """Adam (Kingma 2015, algorithm 1) in numpy, where torch is not installed: its running means, at first none."""
+    """Adam (Kingma 2015, algorithm 1) in numpy, where torch is not installed.
 
-    rate: float = 0.1
-    """Liang 2024, section III-B."""
-    decay: tuple[float, float] = (0.9, 0.999)
-    """Decay of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""
-    guard: float = 1e-8
-    _mean: np.ndarray | float = field(default=0.0, init=False, repr=False)
-    _square: np.ndarray | float = field(default=0.0, init=False, repr=False)
-    _count: int = field(default=0, init=False, repr=False)
+    Args:
+        rate: learning rate (Liang 2024, section III-B).
+        guard: added to the slopes' size.
+    """
+
+    def __init__(self, rate: float = 0.1, guard: float = 1e-8) -> None:
+        self.rate, self.guard = rate, guard
+        self._mean: np.ndarray | float = 0.0
+        self._square: np.ndarray | float = 0.0
+        self._count = 0
 
     def step(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """Take a step against slopes of the same shape as the values; return the new values."""
-        first, second = self.decay
+        first, second = 0.9, 0.999  # Adam's usual decays of the slopes' and squares' means, as the paper gives none
         self._count += 1
         self._mean = first * self._mean + (1 - first) * slopes
         self._square = second * self._square + (1 - second) * slopes * slopes
@@ -80,9 +81,6 @@ class Session:
             objective: body, grip and settings.
             fields: stiffness to begin with, shape [N], inside the bounds where they are optimised.
             method: which parts run.
-
-        Raises:
-            ValueError: fields on the bounds or outside.
         """
         self.objective, self.method, self.fields = objective, method, fields
         self.positions = objective.body.rest.copy()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from palpate.common.robust import median_sd
 from palpate.data.source.sequence import moved
 from palpate.estimators.palpation.registration import register, thinned
 from palpate.estimators.palpation.skin import Match, Skin
@@ -68,7 +69,7 @@ class Bench:
             self.eyes.append(bool(np.median((back * normals).sum(axis=1)) > 0))
             self.sights.append(back if self.eyes[-1] else normals)
             apart.append(np.abs(match.distance / np.maximum((self.sights[-1] * normals).sum(axis=1), self.grazing)))
-        self.noise = max(1.4826 * float(np.median(np.concatenate(apart))), 1e-6 * float(np.ptp(skin.vertices)))
+        self.noise = max(median_sd(np.concatenate(apart)), 1e-6 * float(np.ptp(skin.vertices)))
         """Noise of the points along the sight, by what of them has not moved [m]."""
 
     def rests(self, material: Material, starts: Sequence[np.ndarray | None]) -> list[Equilibrium]:

@@ -69,14 +69,10 @@ def _palpation(options: CalibrateOptions, console: Console) -> int:
     record: dict[str, object] = {"verdict": found.verdict}
     record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
     record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
+    softest, stiffest = found.young * np.exp(np.array([-1, 1]) * NINETY * found.young_sd)
     if not nothing:
-        half = NINETY * found.young_sd
-        record |= {
-            "young_low_pa": found.young * np.exp(-half),
-            "young_high_pa": found.young * np.exp(half),
-            "poisson_sd": found.poisson_sd,
-            "covariance_of_log_young_and_poisson": found.covariance,
-        }
+        record |= {"young_low_pa": softest, "young_high_pa": stiffest, "poisson_sd": found.poisson_sd}
+        record["covariance_of_log_young_and_poisson"] = found.covariance
     make_output(output)
     with writing(output):
         write_own(output / "calibration.json", as_json(record, indent=1) + "\n")
@@ -86,7 +82,7 @@ def _palpation(options: CalibrateOptions, console: Console) -> int:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
         return 0
-    interval = f" (90 %: {record['young_low_pa']:.4g} to {record['young_high_pa']:.4g})"
+    interval = f" (90 %: {softest:.4g} to {stiffest:.4g})"
     low, high = found.poisson - NINETY * found.poisson_sd, found.poisson + NINETY * found.poisson_sd
     doubt = f" (90 %: {low:.3f} to {high:.3f})" + ("" if found.verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")

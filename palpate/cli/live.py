@@ -133,9 +133,8 @@ def main(arguments: list[str] | None = None) -> int:
         settings = preparation(estimator, chosen)
         # The depth's scale is found in so much of the beginning [s]; a source won't begin again.
         depth = dataclasses.replace(settings.depth, scale_seconds=0.5)
-        source = open_live(
-            options.source, options.max_latency, options.pixels, options.fps, sys.stdin.buffer, options.every
-        )
+        given = options.max_latency, options.pixels, options.fps, sys.stdin.buffer, options.every
+        source = open_live(options.source, *given)
         clip = ClipStream(halves(source, settings.layout), dataclasses.replace(settings, depth=depth))
         session = estimator.start(ClipInfo.of(clip))
         server = None if options.igtl is None else igtl_server(options.igtl)

@@ -61,9 +61,8 @@ def main(arguments: list[str] | None = None) -> int:
         softest = 50.0  # tissue is stiffer [Pa]
         if (young := min(youngs, default=softest)) < softest:
             say(console, f"{options.scene}: young is {young:g} Pa, softer than tissue; give Pa, not kPa", "yellow")
-        record, second = (
-            options.output / name for name in ("plan.json", "path.csv" if isinstance(scene, SpaceScene) else "plan.png")
-        )
+        name = "path.csv" if isinstance(scene, SpaceScene) else "plan.png"
+        record, second = options.output / "plan.json", options.output / name
         with writing(options.output):
             require_own(record, second)
         make_output(options.output)  # before what takes minutes

@@ -138,10 +138,8 @@ class RunFiles(Callback):
             require_same_weights(Path(self._checkpoint), pl_module, str(trainer.state.fn.value))
         root = trainer.default_root_dir
         if stage == "fit" and not self._goes_on and any(Path(root, "checkpoints").glob("*.ckpt")):
-            raise UsageError(
-                f"{root} holds a training already; add --ckpt_path last to go on with it, or give another "
-                "--trainer.default_root_dir."
-            )
+            remedy = "add --ckpt_path last to go on with it, or give another --trainer.default_root_dir"
+            raise UsageError(f"{root} holds a training already; {remedy}.")
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Refuse before the training to replace a user's file by the network's."""
@@ -252,10 +250,8 @@ def require_usable(config: Namespace, refused: dict[str, tuple[tuple, str]]) -> 
             raise UsageError(f"trainer.{name} is {trainer[name]}; give more than 0.")
     on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
     if trainer.deterministic is True and not on_cpu:
-        raise UsageError(
-            "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU; give "
-            "warn, which makes the rest deterministic, or trainer.accelerator cpu."
-        )
+        problem = "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU"
+        raise UsageError(f"{problem}; give warn, which makes the rest deterministic, or trainer.accelerator cpu.")
     allowed, devices = max(os.cpu_count() or 1, 2), str(trainer.devices)
     count = int(devices) if devices.removeprefix("-").isdecimal() else 1
     if not 1 <= count <= allowed and on_cpu:

@@ -72,9 +72,7 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
     """
     some = np.isfinite(known)
     if some.sum() < LEAST_KNOWN or not signal[some].any():
-        raise NoEstimate(
-            f"The force is known in {some.sum()} frames that move; {LEAST_KNOWN} are needed for the others."
-        )
+        raise NoEstimate(f"The force is known in {some.sum()} frames that move; {LEAST_KNOWN} are needed for others.")
     factor, variance, residual = fit_factor(signal[some], known[some])
     sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
     return factor * signal, sd

@@ -90,13 +90,9 @@ def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSe
         masks = "auto" if masks == "annotation" else masks
         _require_file(model, "masks", masks)
     settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
-    settings |= {
-        "depth": replace(depth, **wanted),
-        "geometry": section(model, "geometry", GeometrySettings),
-        "masks": masks,
-        "classes": section(model, "classes", MaskClasses),
-        "layout": chosen.clip_layout,
-    }
+    settings |= {"depth": replace(depth, **wanted), "masks": masks, "layout": chosen.clip_layout}
+    settings["geometry"] = section(model, "geometry", GeometrySettings)
+    settings["classes"] = section(model, "classes", MaskClasses)
     prepare = section(model, "preparation", PrepareSettings, settings)
     size = (prepare.geometry.height, prepare.geometry.width)
     if size != model.input_size:

@@ -20,9 +20,7 @@ about one clip of 200, by up to 6 degrees; noise of 0.004 by up to 2. (Developme
 HIDDEN_ERROR = 0.015
 """Root mean square error of tracked contacts that are pressed at 4 to 28 degrees to the line of sight [scene units]:
 0.0152 by `python -m benchmarks.recovery --suite oblique --split validation --seed 4242 --clips 30 --output DIR`."""
-OBLIQUE = (
-    "The tissue is pressed at {:.0f}° to the line of sight, so its dent may hide its own bottom; intervals are widened."
-)
+OBLIQUE = "Tissue is pressed at {:.0f}° to the line of sight, so its dent may hide its bottom; intervals are inflated."
 
 
 def view_angle(contact: Interaction) -> float:

@@ -127,9 +127,7 @@ class RunSession:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
                     contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
-                beside = (
-                    f"The dent lies {math.hypot(*aside):.0f} px beside the detected contact; it is what is estimated."
-                )
+                beside = f"The dent lies {math.hypot(*aside):.0f} px beside the detected contact, and is estimated."
                 doubts = f"{beside if any(aside) else ''} {found.refuted}".strip()
             else:
                 found, simulated, doubts = self._whole(contact)

@@ -126,9 +126,8 @@ class JointLikelihood(LeastSquares):
     """
 
     def __init__(self, observations: Sequence[Any], motion_of: Callable[[np.ndarray, np.ndarray], Any]) -> None:
-        vertices, times = (
-            np.unique(np.concatenate([getattr(each, name) for each in observations])) for name in ("vertices", "times")
-        )
+        vertices = np.unique(np.concatenate([each.vertices for each in observations]))
+        times = np.unique(np.concatenate([each.times for each in observations]))
         self.observations, self.motion = tuple(observations), motion_of(vertices, times)
         self._places = [
             np.ix_(np.searchsorted(times, each.times), np.searchsorted(vertices, each.vertices))

@@ -90,11 +90,9 @@ class ForceAlarm:
 
     def sentence(self) -> str:
         """Return the alarms in words."""
-        return (
-            f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
-            f"safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames; research software, not a "
-            "medical device"
-        )
+        reached = f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times"
+        unknown = f"unknown, neither safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames"
+        return f"{reached}; it is {unknown}; research software, not a medical device"
 
 
 def known_force(found: PressResult) -> Quantity | None:

@@ -86,9 +86,7 @@ def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
     """Print what was estimated and how the clips went, write the batch's page and its clips', and say where."""
     estimates = [(plain(outcome.name), *line) for outcome in outcomes for line in outcome.contacts]
     if estimates:
-        _print(
-            f"Estimates (± is the 90 % interval). {OWN_UNITS}", ("clip", "contact", "estimate", "verdict"), estimates
-        )
+        _print(f"Estimates (±: 90 % interval). {OWN_UNITS}", ("clip", "contact", "estimate", "verdict"), estimates)
     # A line a status: a column each would leave no room for the rest on a narrow terminal.
     counts = ["\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items()) for outcome in outcomes]
     clips = [(plain(one.name), one.state, found, plain(one.where)) for one, found in zip(outcomes, counts, strict=True)]

@@ -31,11 +31,7 @@ from palpate.results.writer import ClipResults
 FORMAT_VERSION = 1
 """Version of the record's layout."""
 
-UNCALIBRATED = (
-    "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
-    "intervals hold the truth less often than that"
-)
-
+UNCALIBRATED = "the model's uncertainty was never calibrated: the coverage of its 90 % intervals is lower than that"
 PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 """Statuses that mean a broken input, not an empty scene."""
 
@@ -98,14 +94,8 @@ def build_record(
     """
     source, frames = clip.source, results.estimates
     depth_identity, masks_identity = clip.identity
-    undriven = (
-        "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; "
-        "the online estimator needs a clip whose tool drives the tissue"
-    )
-    coded = (
-        f"the video's compression leaves small changes out, so that brightness lags behind by {results.lag:.1f} of 255 "
-        "levels: k_d/k_s and F/k_s by shading may come out too large, and other than from a video compressed less"
-    )
+    undriven = "no tissue stretches with an instrument, so no stiffness is known; give a clip whose tool drives tissue"
+    coded = f"by compression brightness lags by {results.lag:.1f} of 255 levels: k_d/k_s and F/k_s may be too large"
     return head_of("video", causes) | {
         "input": {
             "path": str(source.path.resolve()),
@@ -161,16 +151,11 @@ def warnings_of(
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
         if sources[what] not in trained:
-            found.append(
-                f"the model was trained on {what} from {' and '.join(trained)} and this clip's come from "
-                f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
-            )
+            known = f"the model was trained on {what} from {' and '.join(trained)}"
+            found.append(f"{known} and this clip's come from {sources[what]}: its errors here are unknown")
     found += source.warnings
     if sources["masks"] == "automatic":
-        found.append(
-            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
-            "contact is undecided there until the instrument or the tissue has moved"
-        )
+        found.append("automatic masks take all lit tissue: contact is undecided until instrument or tissue has moved")
     for status in PERSISTENT:
         if hit := [frame for frame in frames if frame.status == status]:
             share, first = f"{len(hit)} of {len(frames)} frames are {status}", hit[0]

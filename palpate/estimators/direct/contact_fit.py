@@ -77,12 +77,9 @@ def press_fields(
         logs: parameters whose delays count, shape [D].
     """
     motion, delays = problem.motion, logs[problem.motion.delays]
-    course = PressCourse(
-        *(motion.within * delays).tolist(),
-        at_end=bool((np.abs(delays) > 0.9).any()),  # the press may have begun or ended beyond
-        shape=motion.shape(problem.press(mean)),
-        view_angle=view_angle(problem.first.contact),
-    )
+    at_end = bool((np.abs(delays) > 0.9).any())  # the press may have begun or ended beyond
+    shape, angle = motion.shape(problem.press(mean)), view_angle(problem.first.contact)
+    course = PressCourse(*(motion.within * delays).tolist(), at_end=at_end, shape=shape, view_angle=angle)
     at_bound = np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < 1e-3
     return {"theta": motion.theta(mean), "at_bound": at_bound, "course": course}
 

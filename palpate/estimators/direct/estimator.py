@@ -170,18 +170,14 @@ def fitted_press(contact: Interaction, found: PressResult, time_step: float, ste
 
 def doubts(found: PressResult, bounds: Bounds) -> str:
     """Return sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
-    sentences = [remark(found), found.refuted]
+    texts = [remark(found), found.refuted]
     if found.misfit > found.largest_misfit:
-        # An oblique one was widened by its misfit.
-        doubt = "" if sentences[0] else ", so the uncertainties are too small"
-        sentences.append(
-            f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it{doubt}."
-        )
+        # An oblique one was inflated by its misfit.
+        end = "." if texts[0] else ", so the uncertainties are too small."
+        texts.append(f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it{end}")
     if found.course.at_end:
-        sentences.append(
-            "The press seems to begin or end a whole frame from where it was seen to; don't trust the fit."
-        )
+        texts.append("The press seems to begin or end a whole frame from where it was seen to; don't trust the fit.")
     for name, stuck, (low, high) in zip(PARAMETERS, found.at_bound, np.exp(bounds.log_box).T, strict=True):
         if stuck:
-            sentences.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
-    return " ".join(filter(None, sentences))
+            texts.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
+    return " ".join(filter(None, texts))

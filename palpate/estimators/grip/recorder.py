@@ -78,9 +78,7 @@ class GripRecorder:
         visible = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
         gripped = visible & (self._follower.distance < DRIVEN)
         if gripped.sum() < LEAST_GRIPPED:
-            raise NoEstimate(
-                f"{gripped.sum()} points at the instrument are seen in all frames; {LEAST_GRIPPED} are needed."
-            )
+            raise NoEstimate(f"{gripped.sum()} points at the tool are seen in all frames; {LEAST_GRIPPED} are needed.")
         terms = affine_terms(points)
         # Known at all points that are seen, and affine.
         background = np.linalg.lstsq(terms[visible], np.hstack([*(moved - own)[:, visible]]), rcond=None)[0]

@@ -31,7 +31,7 @@ from palpate.physics.msd.simulation import simulate
 
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
-UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
+UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise off; intervals are inflated."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
 
@@ -76,9 +76,8 @@ class NetworkEstimator(ModelEstimator):
         if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
             raise ModelFileError(f"{model.path} takes another contact's vector than this version has; train it anew.")
         self.settings = settings
-        self.press_seconds: tuple[float, float] = tuple(
-            model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
-        )
+        contact = model.metadata.get("contact", {})
+        self.press_seconds: tuple[float, float] = tuple(contact.get("press_seconds", (0.0, math.inf)))
         """Shortest and longest press that the network was trained on [s]."""
         self.force_seconds = min(self.press_seconds[1], self.mechanics.seconds)
 

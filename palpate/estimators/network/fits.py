@@ -112,9 +112,8 @@ class Fits(DepthSequences):
 
 def point_problem(contact: Interaction, within: float = 0.0) -> JointLikelihood:
     """Return the motion of a contact's point under all parameters of a press; `within` as in `PressMotion`."""
-    return JointLikelihood(
-        [PointObservation(contact, NOMINAL_NOISE)], functools.partial(PressMotion, contact, MECHANICS, within=within)
-    )
+    motion = functools.partial(PressMotion, contact, MECHANICS, within=within)
+    return JointLikelihood([PointObservation(contact, NOMINAL_NOISE)], motion)
 
 
 def motion_slopes(problem: JointLikelihood, logs: np.ndarray) -> np.ndarray:
@@ -260,13 +259,11 @@ def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Dra
     within = fits.within[index]
     along = (motion + error) / spacing[:, None]
     amounts = (fits.amounts[index] + amount_errors) * known[..., None]
-    features = [
-        join_features(along, known, loaded * known, fits.around[index], spacing, noise),
-        join_sequence_features(amounts, spacing, noise, within, with_sequence),
-    ]
+    point_features = join_features(along, known, loaded * known, fits.around[index], spacing, noise)
+    sequence = join_sequence_features(amounts, spacing, noise, within, with_sequence)
     logs = fits.logs[index]
     information, pull = without_delays(information, pull, logs[:, 3:])
-    return Drawn(np.concatenate(features, axis=1), logs[:, :3], information, pull)
+    return Drawn(np.concatenate([point_features, sequence], axis=1), logs[:, :3], information, pull)
 
 
 def draw_sequence_errors(
@@ -299,11 +296,10 @@ def draw_sequence_errors(
         side = math.isqrt(change.shape[2])
         # Largest slope of the resting tissue whose depth is rounded [scene units a pixel].
         slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * 0.004
-        places = np.mgrid[:side, :side].reshape(2, 1, -1)
-        depth = (
-            change + (np.float32(LEVEL) * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0))[:, None]
-        )
-        error = np.nan_to_num(np.rint(depth / np.float32(LEVEL)) * np.float32(LEVEL) - depth)
+        level, places = np.float32(LEVEL), np.mgrid[:side, :side].reshape(2, 1, -1)
+        offset = level * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0)
+        depth = change + offset[:, None]
+        error = np.nan_to_num(np.rint(depth / level) * level - depth)
         part = factors[rounded]
         mixed = (error @ shapes.astype(np.float32))[..., None]
         amounts[rounded] = (part @ (part.transpose(0, 1, 3, 2) @ mixed))[..., 0]

@@ -174,6 +174,4 @@ class FieldResult:
         if not self.determined:
             return f"The fit leaves {left}, but no place's stiffness is determined: others explain the motion as well."
         stretch, bending = (f"{each.known.mean():.0%}" for each in self.last.maps.values())
-        return (
-            f"The fit leaves {left}; stiffness is determined at {stretch} (stretch), {bending} (bending) of the tissue."
-        )
+        return f"The fit leaves {left}; stiffness is determined at {stretch} (stretch), {bending} (bending) of tissue."

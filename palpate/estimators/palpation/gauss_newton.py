@@ -88,9 +88,7 @@ class System:
             self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
             counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > bench.grazing / 2)
             if np.count_nonzero(counts) < 12:
-                raise ValueError(
-                    "fewer than 12 points lie on the surface outside the hole; give more, or a smaller hole."
-                )
+                raise ValueError("fewer than 12 surface points lie outside the hole; give more, or a smaller hole.")
             along = match.normal[counts] / cosine[counts, None]
             met = match.at(triangles, skin.vertices + moved)[counts]
             by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])

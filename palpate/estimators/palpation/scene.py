@@ -118,9 +118,7 @@ def read_scene(path: Path) -> Scene:
     base = scene.held_below + (1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0)
     still = low <= base
     if (count := int(still.sum())) < 3:
-        raise InputError(
-            f"{printable(path)}: {count} nodes lie below held_below; give more (lowest: {low.min():.4g} m)."
-        )
+        raise InputError(f"{printable(path)}: {count} nodes lie below held_below; raise it (lowest {low.min():.4g} m).")
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
     skin = cover(body, vertices, triangles, vertices[:, axis] <= base)

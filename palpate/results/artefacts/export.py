@@ -41,10 +41,8 @@ class Export(Artefact):
 
     def warnings(self) -> Iterator[str]:
         if self._missing:
-            yield (
-                f"{self._missing} of {self.clip.counts.total()} runs of contact were not exported, as not all that "
-                "simulating them takes is known: see verdict in interactions.csv"
-            )
+            why = "as not all that simulating them takes is known: see verdict in interactions.csv"
+            yield f"{self._missing} of {self.clip.counts.total()} runs of contact were not exported, {why}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,7 +210,7 @@ class InteractionEstimate:
         return *observed, *pressed, Outcome(self.skill, *conclusion, *fit, stuck, status, self.detail)
 
 
-FRAMES = Table.of(FrameEstimate)
+FRAMES = Table((FrameEstimate,))
 """parameters.csv, with the column of --force-limit last."""
-CONTACTS = Table.of(Onset, Followed, PressCourse, PressNumbers, Outcome)
+CONTACTS = Table((Onset, Followed, PressCourse, PressNumbers, Outcome))
 """interactions.csv."""

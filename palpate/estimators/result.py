@@ -133,11 +133,6 @@ class Table:
     left_out: tuple[str, ...] = ()
     """Columns that it does not have."""
 
-    @classmethod
-    def of(cls, *kinds: type[Any]) -> Self:
-        """Return the table of all columns of these dataclasses."""
-        return cls(kinds)
-
     @cached_property
     def columns(self) -> dict[str, str]:
         """Columns in order, each with its unit and what it is."""

@@ -32,7 +32,7 @@ class Newtons:
     detail: str = column("reason why there are no numbers", "")
 
 
-CALIBRATED = Table.of(Onset, Newtons)
+CALIBRATED = Table((Onset, Newtons))
 """calibrated.csv."""
 
 

@@ -95,7 +95,10 @@ class SequenceClip:
             for frame, field in tissue.fields():
                 number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
                 first = {"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict}
-                rows.append(first | _numbers(field))
+                # Columns of how much is known come before those of stiffness.
+                rows.append(
+                    first | dict(sorted(values_of(field.numbers).items(), key=lambda item: "stiffness" in item[0]))
+                )
                 cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
                 inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
                 Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
@@ -126,12 +129,6 @@ class SequenceClip:
             store.write_record(partial, record)
             store.publish(partial, folder)
         return record
-
-
-def _numbers(field: ParticleField) -> dict[str, Any]:
-    """Return the columns of a frame, those of how much is known first."""
-    found = values_of(field.numbers)
-    return {name: found[name] for name in sorted(found, key=lambda name: "stiffness" in name)}
 
 
 def _values(field: ParticleField) -> dict[str, Any]:

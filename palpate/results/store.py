@@ -16,6 +16,7 @@ from typing import Any
 
 from palpate.common.files import as_json, file_sha256, read_file
 from palpate.common.output import ForeignFile, is_unchanged
+from palpate.common.settings import fits
 
 TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FIELDS = "interactions.csv", "fit.png", "fields.npz"
@@ -168,10 +169,8 @@ def read_record(folder: Path) -> dict[str, Any]:
         record = json.loads(read_file(folder / RECORD))
     except (OSError, ValueError, RecursionError):
         return {}
-    if not isinstance(record, dict) or record.get("program") != PROGRAM:
-        return {}
     kinds = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
-    return record if all(isinstance(record.get(name, kind()), kind) for name, kind in kinds.items()) else {}
+    return record if fits(record, kinds) and record.get("program") == PROGRAM else {}
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:

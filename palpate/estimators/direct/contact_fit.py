@@ -13,7 +13,6 @@ from palpate.estimators.direct.motion import about_tissue
 from palpate.estimators.direct.patch import RADII, PatchMotion
 from palpate.estimators.direct.problem import (
     DELAYS,
-    Combined,
     Optimum,
     apart,
     combine,
@@ -32,38 +31,6 @@ from palpate.physics.depth import REACH
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import Mechanics
-
-
-def concluded(problem: JointLikelihood, box: np.ndarray, combined: Combined, draws: Draws | None) -> PressResult:
-    """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
-
-    Args:
-        problem: that was fitted.
-        box: lower and upper ends of all parameters, shape [2, D].
-        combined: mean [D] and covariance [D, D] of all parameters by the optima, and the best of these.
-        draws: of the posterior, which say them better; None = there are too few.
-    """
-    prior, (mean, spread, best) = box_information(box), combined
-    judges = mean[None]
-    if draws is not None:
-        # Draws whose information is compared.
-        mean, spread, judges = draws.mean, draws.covariance, draws.thinned(15)
-    information = problem.information(mean)
-    trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
-    # The model does not explain what lies farther from its best fit than this many σ.
-    found = PressResult(
-        **press_fields(problem, mean, best, box, mean),
-        covariance=spread[:3, :3],
-        information=information[:3, :3],
-        expected_information=trusted,
-        noise=problem.first.noise.total,
-        misfit=problem.misfit(best.logs),
-        largest_misfit=1.5,
-    )
-    if not is_oblique(found):
-        return found
-    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
-    return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
 
 
 def press_fields(
@@ -122,17 +89,35 @@ def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
 
 
 def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
-    """Return the posterior around the optima of a sequence's fit, with its verdict; `tissue` as in `field_optima`."""
+    """Return the posterior around the optima of a sequence's fit, with its verdict; `tissue` as in `field_optima`.
+
+    Where the contact may hide its own bottom, the covariance of a large noise is added.
+    """
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
-    scale = max(1.0, problem.misfit(best.logs)) ** 2
-    spread, draws = scale * spread, None
+    misfit = problem.misfit(best.logs)
+    scale = max(1.0, misfit) ** 2
+    spread, judges = scale * spread, mean[None]
     if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
-        found = _sample_field(problem, optima, best, box, scale)
-        # Fewer effective draws say less than the optima themselves.
-        draws = found if found.effective >= 10.0 else None
-    return concluded(problem, box, (mean, spread, best), draws)
+        draws = _sample_field(problem, optima, best, box, scale)
+        # Fewer effective draws say less than the optima themselves; the information of 15 draws is compared.
+        if draws.effective >= 10.0:
+            mean, spread, judges = draws.mean, draws.covariance, draws.thinned(15)
+    information = problem.information(mean)
+    found = PressResult(
+        **press_fields(problem, mean, best, box, mean),
+        covariance=spread[:3, :3],
+        information=information[:3, :3],
+        expected_information=trusted_information([about_tissue(problem.information(logs), prior) for logs in judges]),
+        noise=problem.first.noise.total,
+        misfit=misfit,
+        largest_misfit=1.5,
+    )
+    if not is_oblique(found):
+        return found
+    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
+    return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
 
 
 def fit_press(

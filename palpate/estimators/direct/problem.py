@@ -137,10 +137,6 @@ def find_optimum(
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 
 
-Combined = tuple[np.ndarray, np.ndarray, Optimum]
-"""Mean, covariance and likeliest optimum, as `combine` returns them."""
-
-
 def evidence_shares(optima: Sequence[Optimum], prior: np.ndarray) -> np.ndarray:
     """Return the evidence of optima by Laplace's method relative to the likeliest, shape [O]; arguments as in
     `combine`."""
@@ -149,7 +145,7 @@ def evidence_shares(optima: Sequence[Optimum], prior: np.ndarray) -> np.ndarray:
     return np.exp(logs - logs.max())
 
 
-def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
+def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, Optimum]:
     """Return mean [3] and covariance [3, 3] of φ over several optima, and the likeliest of them.
 
     Each optimum stands for a normal distribution whose share is its evidence by Laplace's method, exp(-χ²/2) times the

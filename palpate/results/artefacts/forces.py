@@ -176,8 +176,7 @@ def forces_record(
     rows = {row["onset_frame"]: row for row in calibrated}
     scaled = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
     records = [contact.record(estimates, lasts) | contact.in_millimetres(length) for contact in scaled]
-    notice = "Research software, not a medical device."
-    return {"notice": notice, "contacts": records}
+    return {"notice": "Research software, not a medical device.", "contacts": records}
 
 
 def _pressed(run: InteractionEstimate, found: PressResult, since: np.ndarray, seconds: float) -> np.ndarray:

@@ -77,8 +77,8 @@ def run_door(main: Callable[[], int | None], interrupted: str = "Interrupted.") 
 def interruptible() -> Generator[None]:
     """Let Ctrl-C end what is done within as KeyboardInterrupt, wherever it lands.
 
-    Compiled code that it lands in ends with an error of its own, mostly SystemError, which must not pass for a
-    failure of the clip at hand.
+    Compiled code in which it lands ends with an error of its own, mostly SystemError, which is no failure of the clip
+    at hand.
     """
     try:
         yield

@@ -25,8 +25,8 @@ shown = _short.repr
 
 
 def sound(value: Any) -> bool:
-    """Return whether a value read from a file is of a reasonable size, with names in it that stand for others written
-    out: 16 levels of lists and mappings within each other, and 100,000 values in a level."""
+    """Return whether a value read from a file is of a reasonable size, with repeated names written out. Lists and
+    mappings may nest 16 levels deep, with 100,000 values in a level."""
     row = [value]
     for _ in range(16):
         if any(isinstance(each, (int, float)) and not abs(each) <= LARGEST for each in row):

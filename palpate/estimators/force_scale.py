@@ -1,10 +1,10 @@
 """Newtons for scene units: one scale from a known force or a known stiffness, and the errors that follow.
 
-The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force: in N per scene unit k_s is c·k_s, and F
-is c·F. A property that a clip's contacts share gives c in all of them: either the mass of a vertex, as in the simulator
-(Bini 2026, table 1), so that c is the same, or the tissue's stiffness, so that c·k_s is the same. Then log c = g + bᵀφ
-with one unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so covariances follow
-exactly.
+The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force. In N per scene unit k_s is c·k_s, and F
+is c·F. A property that a clip's contacts share gives c in all of them. Either it is the mass of a vertex, as in the
+simulator (Bini 2026, table 1), so that c is the same. Or it is the tissue's stiffness, so that c·k_s is the same. Then
+log c = g + bᵀφ with one unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so
+covariances follow exactly.
 """
 
 import math

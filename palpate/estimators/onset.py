@@ -20,8 +20,8 @@ class PressSettings(Checked):
     """Beginning and end of a press; part of the settings of estimators that fit whole presses."""
 
     onset: Literal["between", "stamp"] = BETWEEN
-    """beginning of a press: between frames, up to a frame's time from the first frame in contact (default, as in real
-    videos), or at that frame's time stamp (as in synthetic clips)"""
+    """beginning of a press: between frames, up to a frame's time from the first frame in contact (default; real
+    videos), or stamp, at that frame's time stamp (synthetic clips)"""
     horizon: Horizon = option(None, hidden=True)
     """part of a whole contact that is looked at"""
 

@@ -1,6 +1,6 @@
 """Base of results: quantities with intervals, and dataclasses whose fields are columns of tables.
 
-A column is declared once, where its value is: `skill: float = column("1 - error / motion")` stands in every table of
+A column is declared once, where its value is. `skill: float = column("1 - error / motion")` stands in every table of
 that class, with this text in run.json.
 """
 
@@ -30,8 +30,8 @@ UNITS = {
 }
 """Units of the results."""
 LEAST_SKILL = 0.35
-"""Least skill of a fit to how tissue moves with an instrument that explains the motion: instruments that pass over
-tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
+"""Least skill of a fit that explains how tissue moves with an instrument. Instruments that pass over tissue reach 0.1
+to 0.3, pulls 0.4 and more."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,9 @@
 """Presses on a block of tissue, simulated once, cached for that block, and generalised by a Gaussian kernel.
 
-Frank 2010, section VII: segments through an object at evenly spread places and directions, their costs for fine
-lengths, and between them the kernel smoother of equation 4, over place and direction; along the length linear. A block
-is the same seen from behind, and in a mirror where it is held in the same way left and right, so that half or a quarter
-of the presses tell all. The file's name is a digest of all that the costs depend on: another scene with the same block
-finds it.
+Segments lead through an object at evenly spread places and directions (Frank 2010, section VII). Between them costs
+follow from the kernel smoother of equation 4 over place and direction, and along the length they are linear. A block is
+the same seen from behind, and mirrored if held alike left and right, so half or a quarter of the presses suffice. The
+file's name is a digest of all that the costs depend on: another scene with the same block finds it.
 """
 
 import functools

@@ -1,8 +1,8 @@
 """Cost of pushing an instrument's tip into a block of tissue along a straight line, simulated.
 
-The tip's force is spread over a patch of its radius and grows in steps until the patch has gone as far as asked, or
-until 20 N (Frank 2010, section V); the work is the deformation's cost. Where no equilibrium is found any more, the
-force goes on along its last straight piece.
+The tip's force is spread over a patch of its radius and grows in steps until the patch has gone far enough, or until 20
+N (Frank 2010, section V). The work is the deformation's cost. Where no equilibrium is found any more, the force goes on
+along its last straight piece.
 """
 
 from __future__ import annotations

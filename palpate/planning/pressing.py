@@ -1,9 +1,9 @@
 """Forces and costs of an instrument that presses a body in space.
 
-The tip is a ball, the shaft a row of balls to the port, one radius apart, each bearing half of what a tip would. A ball
-bears what its depth in the resting body tells by a press on a large block, simulated once for E = 1 and scaled: forces
-and work are linear in E. Contact slides without friction: work is the rise of the energy that the presses store, and
-of an edge half of all rises and falls, so that it costs the same both ways.
+The tip is a ball, the shaft a row of balls to the port, one radius apart, each bearing half of what a tip would. A
+ball's force follows from its depth in the resting body by a press on a large block. That is simulated once for E = 1
+and scaled: forces and work are linear in E. Contact slides without friction, so work is the rise of the stored energy.
+Of an edge it is half of all rises and falls, so that it costs the same both ways.
 """
 
 from dataclasses import replace

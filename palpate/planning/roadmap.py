@@ -1,9 +1,9 @@
 """A probabilistic road map over places of the tip, and the cheapest way through it.
 
-Kavraki 1996 and Dijkstra 1959, with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. Of ways that
-cost the same the shorter is taken, since at α = 1 all that touch nothing cost 0: the search adds a minute part of the
-way to the cost, and whole ways are compared by the pair of cost and way. Afterwards places are left out as long as that
-lowers this price.
+It is Kavraki 1996 and Dijkstra 1959, with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. At α = 1
+all ways that touch nothing cost 0, so ties are broken by length. The search adds a minute part of the way to the cost,
+and whole ways are compared by the pair of cost and way. Afterwards places are left out as long as that lowers this
+price.
 """
 
 from collections.abc import Callable, Mapping

@@ -37,11 +37,11 @@ def _read(path: Path, unit: str) -> Any:
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
     """Measure signed distances from a closed surface on a grid that goes on two radii of the tip beyond its box.
 
-    The body is all that the outside can't reach, so that triangles within it, of hollows and of bodies that overlap,
-    don't count, and the way that triangles face only where it is thinner than a few steps. Close to the surface
-    distances are those from the nearest triangle's plane, of second order in the step. What lies behind openings
-    narrower than four steps counts as body. An instrument pushes tissue before it and doesn't pierce it: in the middle
-    between two sides that face away from each other, and half a radius around, distances are -1000 m.
+    The body is all that the outside can't reach, so triangles within it, of hollows and overlapping bodies, don't
+    count. The way that triangles face counts only where the body is thinner than a few steps. Close to the surface
+    distances are those from the nearest triangle's plane, of second order in the step. Openings narrower than four
+    steps count as closed. An instrument pushes tissue before it and doesn't pierce it. So distances are -1000 m in the
+    middle between two sides that face away from each other, and half a radius around.
 
     Args:
         path: of the surface, whose lengths are in `unit`.

@@ -1,10 +1,10 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
-The strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust region
-finds what explains the sequence of a dent best (`observations.depth`), as a step on a vertex or as a press of any
-shape (`estimators.direct.patch`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the
+It is the strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust
+region fits the sequence of a dent (`observations.depth`), as a step on a vertex or as a press of any shape
+(`estimators.direct.patch`). Parameters are φ = (log k_s, log k_d, log |F|) and, where the instants are not known,
 delays of the press (`estimators.direct.motion`). Around these optima the posterior is sampled
-(`estimators.direct.sampling`), with a uniform prior on the box of these: mean and covariance of φ are the estimate.
+(`estimators.direct.sampling`), with a uniform prior on the box. Mean and covariance of φ are the estimate.
 """
 
 import dataclasses
@@ -46,8 +46,8 @@ class DirectSettings(PressSettings):
     """
 
     observation: tuple[str, ...] = option((), choices=lambda: tuple(OBSERVATIONS.entries))
-    """what is compared, in one fit: depth of all visible tissue around the contact (default where depth is given),
-    shading, which is how the tissue's light changes (default where depth is guessed), or both"""
+    """observations of one fit: depth of all visible tissue around the contact (default where depth is given); shading,
+    the change of the tissue's light (default where depth is guessed); or both"""
     smoothing: Annotated[float, 0, LARGEST] = option(SMOOTHING, metavar="PIXELS")
     """smooth the tissue's resting shape over this many grid pixels, which also measures the depth's noise"""
     # A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
@@ -120,9 +120,9 @@ class DirectSession(RunSession):
     def fit(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray]]:
         """Fit θ to one contact; gives the estimate and the simulated motion, as in `simulated_motion`.
 
-        Where the beginning of the press isn't known its delay is fitted as well, and the information is what there
-        would be if it were known. Where the contact is pressed aslant to the line of sight its uncertainty is widened
-        (`estimators.oblique`), because what it was fitted to may not be the bottom of the dent.
+        Where the beginning of the press isn't known its delay is fitted as well, and the information is that for a
+        known beginning. Where the contact is pressed aslant to the line of sight its uncertainty is inflated
+        (`estimators.oblique`), because the bottom of the dent may be hidden.
 
         Raises:
             NoEstimate: fewer than three observations, or no noise level.

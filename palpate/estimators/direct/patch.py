@@ -1,9 +1,8 @@
 """Motion of vertices under a press on a patch, in any direction, whose force rises, holds and falls.
 
-Besides φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, where its
-middle lies next to the contact vertex, over which share of the time under load the force rises, and over which share of
-the rest it falls (no fall where no release was observed: then the first share is of the time that was observed).
-`PressShape` says what they mean.
+Besides φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, its middle
+next to the contact vertex, and the shares of rise and fall. The first share is of the time under load, the second of
+the rest; without a release there is no fall. `PressShape` defines them.
 """
 
 import math

@@ -148,8 +148,8 @@ def evidence_shares(optima: Sequence[Optimum], prior: np.ndarray) -> np.ndarray:
 def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, Optimum]:
     """Return mean [3] and covariance [3, 3] of φ over several optima, and the likeliest of them.
 
-    Each optimum stands for a normal distribution whose share is its evidence by Laplace's method, exp(-χ²/2) times the
-    volume of φ that explains the data as well: a slightly worse fit of many φ can be likelier than the best of few.
+    Each optimum stands for a normal distribution whose share is its evidence by Laplace's method: exp(-χ²/2) times the
+    volume of φ that explains the data as well. A slightly worse fit of many φ can be likelier than the best of few.
 
     Args:
         optima: at least one.

@@ -1,9 +1,9 @@
 """Mean and covariance of a posterior in a box, by importance sampling around its known modes.
 
 A normal distribution at the optimum (Laplace) is wrong where the posterior is a curved ridge, has several modes, or is
-cut off by the box. Here points are drawn from a mixture of Student distributions, weighed by posterior over mixture
-(deterministic-mixture weights, Owen & Zhou 2000, of all rounds together), and the mixture is moved to where the
-weights are (population Monte Carlo, Cappé et al. 2008). Points come from a Sobol sequence, so nothing is random.
+cut off. Points are drawn from a mixture of Student distributions and weighed by posterior over the mixture of all
+rounds (Owen & Zhou 2000). The mixture is then moved to where the weights are (population Monte Carlo, Cappé et al.
+2008). Points come from a Sobol sequence, so nothing is random.
 """
 
 from __future__ import annotations

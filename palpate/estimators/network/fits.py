@@ -1,7 +1,7 @@
 """Contact motions with the parameters that explain them: the data of the posterior's fine training stage.
 
-Every motion is explained once by least squares; around that fit its log likelihood is a known parabola, whatever noise,
-rounding or cut-off window is drawn in addition: errors, windows and missing depth changes cost no rollout.
+Every motion is explained once by least squares. Around that fit its log likelihood is a known parabola, whatever noise,
+rounding or window is drawn in addition, so these cost no rollout.
 """
 
 import dataclasses

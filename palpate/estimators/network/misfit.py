@@ -22,8 +22,8 @@ from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate_tangent
 
 LARGEST_MISFIT = 1.5
-"""A motion farther from the simulated one than this many σ is unlike those of the training, and the network's
-covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
+"""Largest misfit [σ] of motions like those of the training. Beyond it the network's covariance is inflated by that of a
+noise as large as the misfit, within the box."""
 TAIL_PROBABILITY = 3.5e-4
 """Probability that noise alone takes 25 observations so far away; fewer may lie farther."""
 

@@ -1,16 +1,15 @@
 """Motion that the instrument alone explains, and the stiffness fields that this determines, place by place.
 
-A simulation is led by the instrument from rest on and never taken to what is observed, as the session's state is: what
-it leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
-derivatives of what is observed, and these with a normal prior the posterior of log stiffness at the knots
-(Gauss–Newton's: linear least squares around the fields of each frame). The noise is what the likeliest leave of the
-motion. Where a model is wrong it is wrong in the same way in neighbouring places and in one frame after the other: on
-the one real pull what is left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames
-together count as one, and in a frame points by as much as their means over the cells around the knots vary.
+A simulation is driven by the instrument from rest on and never mapped to what is observed, unlike the session's state.
+Its residual judges the model. As many more, each with the stiffness around one knot changed, give derivatives. These
+and a normal prior give the posterior of log stiffness at the knots: linear least squares around the fields of each
+frame (Gauss–Newton). The noise is the likeliest fields' residual. Model errors are correlated over neighbouring places
+and frames: on the one real pull by 0.99 from frame to frame. So all frames count as one, and points of a frame by as
+much as their means over the cells around the knots vary.
 
-The paper leaves time step, masses and attachments open, and its optimiser takes tens of frames to get anywhere. One
-number each for how fast tissue follows, what holds it to its rest, and how it bends is fitted to the first frames, by
-simulation alone; stiffness place by place is left to the optimiser.
+The paper leaves time step, masses and attachments open, and its optimiser takes tens of frames to get anywhere. Three
+numbers are fitted to the first frames by simulation alone: time step, foundation and bending. Stiffness place by place
+is left to the optimiser.
 """
 
 import dataclasses
@@ -44,8 +43,8 @@ LEAST = 0.2
 
 
 VOLUME = 1e10 * 0.0089**4
-"""Stiffness of volumes where edges are 1 long in the mean: the paper's 10¹⁰ at its size, 600 particles of a block with
-edges of 8.9 mm. It goes with the inverse of their fourth power, since a volume's gradient goes with the second."""
+"""Stiffness of volumes where edges have a mean length of 1: the paper's 10¹⁰ for edges of 8.9 mm, 600 particles in a
+block. It goes with the inverse fourth power of the edges, since a volume's gradient goes with the second."""
 
 
 def uniform(body: Body, distance: float, shape: float) -> Stiffness:
@@ -113,8 +112,8 @@ class Fitting:
     def best(self) -> Fit | None:
         """Parameters that explain the frames so far best; None if held-out frames don't confirm them.
 
-        Each frame is held out in turn, and must be explained by what the others choose: in the mean better than by
-        what is given, and as well as a run must be. Else what is fitted may be noise.
+        Each frame is held out in turn and predicted by the parameters that the others choose. The error must be below
+        that of the given parameters, and as small as a run's. Else the fit may be noise.
         """
         errors = np.array(self._errors)
         if len(errors) < 2:
@@ -235,11 +234,10 @@ class Determined:
         """Return standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where
         known.
 
-        Known is where the knots around tell it to LIMIT, and twice as surely as before anything was observed (three
-        quarters of what is said, at least, then come from what was observed). The field is to be no farther from the
-        likeliest value than that deviation: steps have not got there yet elsewhere.
-        Deviations include what the knots leave open, from one to the next a random walk. Nothing is known where places
-        that would be differ by less than their deviations, which doesn't tell which of them is stiffer.
+        A particle is known if the knots around constrain it to LIMIT, and to half of the prior's deviation. The field
+        must also lie within that deviation of the likeliest value, which steps have not reached elsewhere. Deviations
+        include the random walk from one knot to the next. Nothing is known where known places differ by less than their
+        deviations, so that the stiffer one is not identified.
 
         Args:
             fields: stiffness as it is now, shape [N].

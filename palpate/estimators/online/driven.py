@@ -58,8 +58,8 @@ class DrivenTissue:
         if led:
             around = ~np.isin(shares.indices.reshape(-1, 3), surface.gripped).any(axis=1)
         self.around = inside[around]
-        """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach, or where
-        that is led in triangles without a gripped corner."""
+        """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach. Where that
+        is led they lie in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
         self._resting, self._depth = surface.project(self._shares @ body.rest), (self._shares @ body.rest)[:, 2]
         self._driving = np.flatnonzero(distance < surface.reach)
@@ -100,8 +100,8 @@ class DrivenTissue:
         """Return standard deviations of log stiffness over its mean where tissue has stretched, and where that is
         determined.
 
-        It is where tissue has stretched, the motion tells it (`Determined.known`) and the instrument alone explains the
-        motion, as much as a sheet must that is fitted to a grip.
+        It is determined where tissue has stretched and the motion constrains it (`Determined.known`). The instrument
+        alone must explain the motion as well as a sheet that is fitted to a grip.
 
         Returns:
             Shape [2, N] each: of distances, of shapes.
@@ -132,8 +132,8 @@ class DrivenTissue:
     def step(self, moved: np.ndarray, cloud: Cloud | None = None, led: np.ndarray | None = None) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
 
-        With the last of the frames that are fitted to, what one number each says of the tissue is chosen, and all are
-        taken in once more by that.
+        With the last frame that is fitted to, the parameters are chosen, and all frames are taken in once more with
+        them.
 
         Args:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not observed = NaN.
@@ -191,8 +191,8 @@ class DrivenTissue:
     def skills(self) -> dict[str, float]:
         """Return the skill of predicting later frames from earlier ones, by model (`estimators.online.forecast`).
 
-        Simulations begin at rest and follow the instrument's way: a state that was mapped to what was observed is none
-        of the model's, and would fall back.
+        Simulations begin at rest and follow the instrument's way. A state that was mapped to an observation would fall
+        back.
         """
         path, rest, gripped = np.stack(self.past), self.surface.body.rest, self.surface.gripped
         states = self.session.objective.stepped(self.session.fields, rest, path).positions[0, 1:]

@@ -1,9 +1,9 @@
 """Objective of the fields of stiffness within bounds: gap, history, smoothness (Liang 2024, equations 7 to 9).
 
-The gap is left by residual mapping: the deformation that takes a simulated state to what was observed of it (equation
-6). How far particles are from that is a term of squared distances, `Chamfer` or `Tracks`. `slope` of either gives its
-value [m²], its gradient [N, 3] [m], and its second derivatives by one axis [N, N], the same for all three and none
-below 0, or their diagonal [N]. Once its pairs are fixed a term is quadratic in positions.
+The gap is left by residual mapping: the deformation that takes a simulated state to its observation (equation 6). The
+distance of the particles from that is a term of squared distances, `Chamfer` or `Tracks`. `slope` of either gives its
+value [m²], its gradient [N, 3] [m], and its second derivatives by one axis. These are the same for all axes and never
+negative, shape [N, N] or a diagonal [N]. Once its pairs are fixed a term is quadratic in positions.
 """
 
 from collections.abc import Sequence
@@ -91,10 +91,9 @@ class Mapping(Checked):
     steps: Annotated[int, 1, MOST_ITERATIONS] = 30
     """Gradient steps (section II-B)."""
     rate: Positive = 50.0
-    """Learning rate at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n.
-    Lengths may have any unit: both terms are squares of lengths. A particle that more of what was observed hangs on
-    than that bears, as where points are followed on a part of a large sheet only, goes at most as far as these points
-    ask."""
+    """Learning rate at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n. Lengths
+    may have any unit: both terms are squares of lengths. A particle on which many observed points hang goes at most as
+    far as these ask."""
 
 
 class _Step(NamedTuple):
@@ -122,7 +121,7 @@ class Residual:
         """Return derivatives of a scalar by the state from those by Δ [N, 3], shape [N, 3], through every gradient
         step.
 
-        y⁺ = y - η ∇F(y) with y = x + Δ: the adjoint is (I - H η) of each step in turn, less that of Δ = y - x.
+        With y⁺ = y - η ∇F(y) and y = x + Δ the adjoint is (I - H η) of each step in turn, less that of Δ = y - x.
         """
         free = self._path[0].rates > 0
         start = pull = np.where(free, by_deformation, 0.0)

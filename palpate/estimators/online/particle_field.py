@@ -35,7 +35,7 @@ class FieldNumbers:
     """standard deviation of the log of stiffness over its mean, the median over that tissue"""
     field_known: float = column("", 0.0)
     """share of the particles whose stiffness against stretch is determined: the posterior is narrower than the prior,
-    the tissue there has stretched, and the fit explains the motion"""
+    tissue has stretched there, and the fit explains the motion"""
     shape_known: float = column("share of the particles whose stiffness against bending is determined", 0.0)
     skill: float = column("", math.nan)
     """skill so far, 1 - error / motion, of the tissue simulated under the instrument alone; below 0.35 the fit does not
@@ -61,7 +61,7 @@ class StiffnessMap:
 class ParticleField:
     """Stiffness over a sheet or a volume of tissue that an instrument drives, in one frame; N particles.
 
-    Stiffness counts in m/Δt², a particle's mass over the square of a frame's time: it compares places within a run of
+    Stiffness counts in m/Δt², a particle's mass over the square of a frame's time. It compares places within a run of
     contact, not clips, and no force follows from it.
     """
 

@@ -1,7 +1,7 @@
 """Tissue of a sequence beside a robot: clouds and followed points under a gripper whose poses are known, in metres.
 
-The tissue is looked at along its own mean normal from far away, whatever frame the sequence has: what is simulated
-then doesn't depend on that frame, and what is said of it is turned back.
+The tissue is viewed along its own mean normal from far away, and results are turned back. So the simulation doesn't
+depend on the sequence's frame.
 """
 
 import dataclasses

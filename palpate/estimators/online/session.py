@@ -117,8 +117,7 @@ class Session:
         return Frame(self.positions, self.fields, gap, terms)
 
     def ahead(self, places: np.ndarray) -> np.ndarray:
-        """Return states that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it
-        is."""
+        """Return states [T, N, 3] [m] along a path of the grip [T, G, 3] [m], by the field as it is."""
         return self.objective.stepped(self.fields, self.positions, places).positions[0, 1:]
 
     def _snapshots(self) -> list[np.ndarray]:

@@ -1,10 +1,10 @@
 """Young's modulus and Poisson's ratio from forces and the deformed surfaces that they leave (Frank 2010, section VI).
 
 The residual is the distance of a measured point from the simulated surface along its line of sight, with what the tool
-hides masked. `fit_material` is Gauss–Newton with exact derivatives by (1/E, ν) and by the sensors' poses: between two
-simulations displacements are linear in the former, and points are matched anew as often as it takes. It begins at the
-linear law, by which displacements go with 1/E, so that it doesn't matter how far off the start is. The paper's descent
-takes ten times as many simulations (docs/reports/palpation.md).
+hides masked. `fit_material` is Gauss–Newton with exact derivatives by (1/E, ν) and by the sensors' poses. Between two
+simulations displacements are linear in (1/E, ν), and points are matched anew as often as it takes. It begins at the
+linear law, by which displacements go with 1/E, so that any start will do. The paper's descent takes ten times as many
+simulations (docs/reports/palpation.md).
 """
 
 from collections.abc import Callable, Sequence

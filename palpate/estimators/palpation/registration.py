@@ -1,8 +1,8 @@
 """Depth points laid onto a surface (ICP).
 
-Besl & McKay 1992 with the distance along the normal instead of between points (Chen & Medioni 1992), and the farthest
-pairs left out, as Frank 2010 (section VI-A) has it after Rusinkiewicz & Levoy 2001: where a tool deforms the object, it
-does not fit the surface at rest.
+It is Besl & McKay 1992 with the distance along the normal instead of between points (Chen & Medioni 1992). The farthest
+pairs are left out (Frank 2010, section VI-A, after Rusinkiewicz & Levoy 2001), since a pressed object does not fit the
+surface at rest.
 """
 
 import numpy as np

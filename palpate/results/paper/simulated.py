@@ -1,8 +1,8 @@
 """Simulated motions, and the baselines that an estimate has to beat: one constant θ for everything, and no motion.
 
 A predictor that has collapsed to a constant looks good against badly chosen constants, so the constant here is the best
-one that the training contacts allow. Of motions: when the released tissue comes to rest (Bini 2026, section 4.2), and
-which leave the scene.
+one for the training contacts. Motions are described by when the released tissue comes to rest (Bini 2026, section 4.2),
+and which leave the scene.
 """
 
 from collections.abc import Sequence

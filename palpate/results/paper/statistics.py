@@ -1,9 +1,9 @@
 """Means, intervals and paired tests of the evaluation's errors (Bini 2026, section 4.1 and table 2).
 
-Frames of one clip are autocorrelated, and the paper's tests take frames as independent, so every mean and every
+Frames of one clip are autocorrelated, and the paper's tests take frames as independent. So every mean and every
 difference also gets a bootstrap over whole clips. The spread of the estimates shows whether they have collapsed to a
-constant: the paper reports k_s = 0.508 ± 0.003 on a range of [0, 1] whose middle is where an untrained sigmoid sits.
-A number that can't be computed is NaN.
+constant. The paper reports k_s = 0.508 ± 0.003 on a range of [0, 1], in whose middle an untrained sigmoid sits. A
+number that can't be computed is NaN.
 """
 
 import math

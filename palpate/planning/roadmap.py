@@ -95,12 +95,11 @@ def weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarra
     return np.where(open_ways, alpha * np.where(open_ways, deformation, 0) + (1 - alpha) * way, np.inf)
 
 
-def find_plan(costs: EdgeCosts, nodes: int = 300) -> Plan:
+def find_plan(costs: EdgeCosts) -> Plan:
     """Find the cheapest way, of equally cheap ones the shortest.
 
     Args:
         costs: of the scene's lines.
-        nodes: of the road map, each with lines to the ten nearest.
 
     Raises:
         Blocked: start or goal lie in tissue or an obstacle or outside, or no line leads there.
@@ -118,8 +117,9 @@ def find_plan(costs: EdgeCosts, nodes: int = 300) -> Plan:
     for name, place in zip(("start", "goal"), ends, strict=True):
         if not is_free(place[None])[0]:
             raise Blocked(f"the {name} {place.tolist()} is blocked: the tip would touch something there; move it.")
-    drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (4 * nodes, 2))
-    places = np.concatenate([ends, drawn[is_free(drawn)][:nodes]])
+    # 300 places, each with lines to the ten nearest.
+    drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (1200, 2))
+    places = np.concatenate([ends, drawn[is_free(drawn)][:300]])
     pairs = np.unique(np.concatenate([neighbours(places, 10), [[0, 1]]]), axis=0)
     plan = cheapest_way(costs, places, pairs, costs.deformation(*places[pairs.T]))
     if plan is None:

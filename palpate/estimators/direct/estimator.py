@@ -68,25 +68,16 @@ class DirectSettings(PressSettings):
 
 
 class DirectEstimator(Estimator):
-    """Fits every run of contact when it has ended; needs no network.
-
-    Args:
-        settings: how.
-        mechanics: integrator of the fitted model.
-        bounds: admissible box, in which the prior is uniform; F presses.
-
-    Raises:
-        ValueError: a box that reaches 0.
-    """
+    """Estimator that fits every run of contact when it has ended; needs no network."""
 
     name = "direct"
+    mechanics = FITTED
+    """Integrator of the fitted model."""
+    bounds = RECOMMENDED
+    """Admissible box, in which the prior is uniform; F presses."""
 
-    def __init__(
-        self, settings: DirectSettings = DirectSettings(), mechanics: Mechanics = FITTED, bounds: Bounds = RECOMMENDED
-    ) -> None:
-        self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
-        self.smoothing, self.log_box = settings.smoothing, bounds.log_box
-        """Bounds of φ, shape [2, 3]."""
+    def __init__(self, settings: DirectSettings) -> None:
+        self.settings, self.smoothing = settings, settings.smoothing
 
     @property
     def described(self) -> dict[str, Any]:
@@ -128,7 +119,7 @@ class DirectSession(RunSession):
             NoEstimate: fewer than three observations, or no noise level.
         """
         settings, within = self.estimator.settings, self._within * contact.intervals
-        how = self.mechanics, within, settings.noise, self.estimator.log_box
+        how = self.mechanics, within, settings.noise, self.estimator.bounds.log_box
         if settings.observation not in ((), ("depth",)):
             found = fit_together(contact, settings.observation, *how)
         elif contact.sequence is None:

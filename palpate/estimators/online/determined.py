@@ -214,16 +214,16 @@ class Determined:
             self._shared[one] += count * means @ means.T
             self._points[one] += count
 
-    def likeliest(self, fields: Stiffness, longest: float = 0.3) -> Stiffness:
+    def likeliest(self, fields: Stiffness) -> Stiffness:
         """Take a Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
 
-        To what is likeliest of them if time step and foundation stay as they are, at most so far in a knot's logarithm.
+        It leads to the likeliest fields for the present time step and foundation, by at most 0.3 in a knot's logarithm.
         """
         covariance, likeliest = self._posterior(fields)
         knots, stepped = slice(-len(self.uncertain)), slice(-len(self.uncertain), None)
         others = np.linalg.solve(covariance[stepped, stepped], likeliest[stepped])
         way = (likeliest - covariance[:, stepped] @ others - self._projected @ self._logs(fields).ravel())[knots]
-        way *= min(1.0, longest / max(float(np.abs(way).max()), 1e-300))
+        way *= min(1.0, 0.3 / max(float(np.abs(way).max()), 1e-300))
         # As if they had been led by these fields all along: what remains of former ones would count again.
         slopes = (self._carried[1 : len(way) + 1] - self._carried[0]) / CHANGE
         self._carried = self._carried + np.tensordot(way, slopes, 1)

@@ -79,8 +79,7 @@ def _handler(session: OutlineSession, top: str) -> type[BaseHTTPRequestHandler]:
             name = self.path.removeprefix(top)
             given = self.rfile.read(int(self.headers["Content-Length"] or 0))
             try:
-                found = asked[name](**json.loads(given))
-                self._answer(200, "application/json", as_json(found).encode())
+                self._answer(200, "application/json", as_json(asked[name](**json.loads(given))).encode())
             except (KeyError, TypeError, ValueError, OSError) as error:
                 self._answer(400, "text/plain; charset=utf-8", str(error).encode())
 

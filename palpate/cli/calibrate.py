@@ -60,8 +60,7 @@ def _palpation(options: CalibrateOptions, console: Console) -> int:
     scene = read_scene(path)
     make_output(output)  # before what takes minutes
     try:
-        problem = scene.skin, scene.held, scene.palpations
-        found = fit_material(*problem, report=lambda line: say(console, line))
+        found = fit_material(scene.skin, scene.held, scene.palpations, report=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
     nothing = found.verdict == NOTHING

@@ -129,8 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         estimator = filled(ESTIMATORS[values["estimator"]], values).build()
         require_able(estimator, values, (Live,))
-        chosen = filled(Preparation, values | {"layout": ClipLayout(right=options.right)})
-        settings = preparation(estimator, chosen)
+        settings = preparation(estimator, filled(Preparation, values | {"layout": ClipLayout(right=options.right)}))
         # The depth's scale is found in so much of the beginning [s]; a source won't begin again.
         depth = dataclasses.replace(settings.depth, scale_seconds=0.5)
         given = options.max_latency, options.pixels, options.fps, sys.stdin.buffer, options.every

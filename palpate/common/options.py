@@ -225,8 +225,7 @@ def _chosen(
         value = getattr(first.parse_known_args(tokens)[0], action.dest)
         return content.get(name) if value is None else value
 
-    help_text = "YAML file of options; those on the command line count more"
-    parser.add_argument("--config", metavar="FILE", help=help_text)
+    parser.add_argument("--config", metavar="FILE", help="YAML file of options; those on the command line count more")
     parser.add_argument("--print_config", action="store_true", help="print all options as such a file, and stop")
     try:
         content |= _read(Path(path)) if (path := peek("config")) else {}

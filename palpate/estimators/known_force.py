@@ -74,5 +74,4 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
     if some.sum() < LEAST_KNOWN or not signal[some].any():
         raise NoEstimate(f"The force is known in {some.sum()} frames that move; {LEAST_KNOWN} are needed for others.")
     factor, variance, residual = fit_factor(signal[some], known[some])
-    sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
-    return factor * signal, sd
+    return factor * signal, np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)

@@ -127,8 +127,7 @@ class RunTracker:
             missing = frame.frame.index - run.last
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
                 return None  # the gap may be flicker
-        rest = self._light if len(self._light) else None
-        what = self._clip, self._seconds, rest, self._observations
+        what = self._clip, self._seconds, self._light if len(self._light) else None, self._observations
         self.current = Run(frame, *what) if frame.in_contact else None
         return run
 

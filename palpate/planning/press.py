@@ -54,8 +54,7 @@ def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:
     body = make_solid(nodes - shift, tetrahedra, order=2)
     fine = [max(1, int(np.ceil(side / (radius / 2)))) for side in kind.size]
     outer, inner = box(kind.size, (fine[0], fine[1], fine[2]))
-    faces = make_solid(outer, inner).faces
-    used, which = np.unique(faces, return_inverse=True)
+    used, which = np.unique(make_solid(outer, inner).faces, return_inverse=True)
     skin = cover(body, outer[used] - shift, which.reshape(-1, 3))
     ends = {"bottom": (2, 0.0), "top": (2, height), "left": (0, -width / 2), "right": (0, width / 2)}
     held = np.zeros(len(body.rest), bool)

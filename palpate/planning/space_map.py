@@ -36,8 +36,7 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
     fields = scene.unit, scene.port, scene.tip_radius, scene.poisson
     version = 2  # of what is in a file
     key = digest_of([version, code_digest("kernels"), file_sha256(Path(scene.mesh)), fields])
-    path = cache / f"space-{key[:16]}.npz"
-    known, found = kept(path, lambda: _made(scene))
+    known, found = kept(cache / f"space-{key[:16]}.npz", lambda: _made(scene))
     costs = PressingCosts(scene, known)
     for name in ("start", "goal", "port"):
         place = getattr(costs, name)

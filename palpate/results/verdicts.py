@@ -118,6 +118,5 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str, str
         if low is not None and high is not None:
             sure = ratio or verdict == "determined" or name in single
             text = rounded(value, (high - low) / 2) if sure else f"{digits(low)} to {digits(high)}"
-        unit = (values.get(f"{name}_unit") or own_unit).partition(",")[0]
-        found.append((SYMBOLS[name], text, unit))
+        found.append((SYMBOLS[name], text, (values.get(f"{name}_unit") or own_unit).partition(",")[0]))
     return found

@@ -90,8 +90,7 @@ class ClipResults:
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Take the next frame; in contact it waits until that has ended."""
         if self.alarm is not None:
-            force_of = None if self.calibration is None else self.calibration.known_force
-            estimate = self.alarm.watch(estimate, force_of)
+            estimate = self.alarm.watch(estimate, None if self.calibration is None else self.calibration.known_force)
         pictures = any(artefact.pictures for artefact in self.artefacts)
         shown = (prepared.frame.image, prepared.picture_labels) if pictures else (None, None)
         self.estimates.append(replace(estimate, field=None))

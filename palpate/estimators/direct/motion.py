@@ -164,8 +164,7 @@ class PressMotion:
         3]."""
         # Window error of simulations that a whole dent's posterior is sampled with.
         mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, 1e-5))
-        path = self._path(logs, mechanics, self.longest, np.float32)
-        return self._shown(path, self.steps + 1, mechanics, logs)
+        return self._shown(self._path(logs, mechanics, self.longest, np.float32), self.steps + 1, mechanics, logs)
 
     def _shown(self, path: np.ndarray, after: np.ndarray, mechanics: Mechanics, logs: np.ndarray) -> np.ndarray:
         """Return a path [T, M, 3] at the instants, shape [N, M, 3]; without delays they come after so many of its steps

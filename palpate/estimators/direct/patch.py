@@ -37,8 +37,7 @@ class PatchMotion(PressMotion):
     @property
     def centred(self) -> np.ndarray:
         """Centred parameters as in `PressMotion`; the patch's place and the lean among them."""
-        first = self.delays.stop
-        return np.concatenate([super().centred, first + np.arange(1, 5)])
+        return np.concatenate([super().centred, self.delays.stop + np.arange(1, 5)])
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Return the box, as in `PressMotion`, with the shape's parameters behind."""

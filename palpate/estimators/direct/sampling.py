@@ -99,8 +99,7 @@ class Draws:
     def thinned(self, count: int) -> np.ndarray:
         """Return `count` equally weighted points [count, D], evenly spread along the sample's widest direction."""
         order = np.argsort(self.points @ np.linalg.eigh(self.covariance)[1][:, -1])
-        places = (np.arange(count) + 0.5) / count
-        chosen = np.searchsorted(np.cumsum(self.weights[order]), places)
+        chosen = np.searchsorted(np.cumsum(self.weights[order]), (np.arange(count) + 0.5) / count)
         return self.points[order[np.minimum(chosen, len(order) - 1)]]
 
 

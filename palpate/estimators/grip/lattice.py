@@ -132,8 +132,7 @@ def fit_sheets(
         # A foundation that moves affinely carries the sheet along, but for what the grip holds back.
         follows = terms - found.displacement[:count, -3:]
         off = around - mask * pulled
-        gram = np.einsum("tn,nk,nl->tkl", visible, follows, follows)
-        fitted = np.linalg.solve(gram, follows.T @ off)
+        fitted = np.linalg.solve(np.einsum("tn,nk,nl->tkl", visible, follows, follows), follows.T @ off)
         for errors, affine in ((squares, background), (refitted, fitted)):
             errors.append(np.square(off - mask * (follows @ affine)).sum(axis=(1, 2)))
         reaction = found.reaction.sum(axis=0)

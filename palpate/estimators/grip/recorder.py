@@ -91,8 +91,7 @@ class GripRecorder:
         # regions --split validation --clips 7 --seed 61001 --output OUT`.
         force_sd = np.hypot(spread, 0.32 * force_error(force, found))
         force_sd[-1] = 0.0  # the last frame's ratio is 1 by definition
-        rival = self._rival_skill(visible, int(gripped.sum()), own)
-        return PullResult(found, rival, times, force, force_sd)
+        return PullResult(found, self._rival_skill(visible, int(gripped.sum()), own), times, force, force_sd)
 
     def _rival_skill(self, seen: np.ndarray, count: int, own: np.ndarray) -> float:
         """Return the skill of a grip around the point that moves most far from the tool; -∞ where too little moves
@@ -118,5 +117,4 @@ class GripRecorder:
         if half < LEAST_FRAMES:
             return -math.inf
         used = moving[np.linspace(0, len(moving) - 1, count).round().astype(int)]
-        still = np.zeros((len(used), 3, 2))
-        return fit_sheets(points, self._follower.spacing, gripped, used, still).skill(half)
+        return fit_sheets(points, self._follower.spacing, gripped, used, np.zeros((len(used), 3, 2))).skill(half)

@@ -41,8 +41,7 @@ class Made(NamedTuple):
     def observed(self, moved: np.ndarray, noise: float) -> tuple[Interaction, np.ndarray]:
         """Return the contact with another motion [N, 3] and σ, and the network's input, without the depth-change
         sequence."""
-        observation = self.contact.observation.moved(moved, noise)
-        contact = self.contact.having(point=observation)
+        contact = self.contact.having(point=self.contact.observation.moved(moved, noise))
         more = sequence_features(None, self.around.spacing, noise, self.within)
         return contact, np.concatenate([contact_features(contact, self.around), more])
 
@@ -153,8 +152,7 @@ class SimulatedContacts(ContactData):
 def run_shown(function: Callable[[Any], Any], tasks: list, workers: int | None, name: str) -> list:
     """Run tasks with a progress bar; return their results in order."""
     with progress_bars(Console()) as progress:
-        done = run_tasks(function, tasks, workers, ordered=True)
-        return list(progress.track(done, len(tasks), description=name))
+        return list(progress.track(run_tasks(function, tasks, workers, ordered=True), len(tasks), description=name))
 
 
 def widened(contact: Interaction, blur: float) -> Likelihood:

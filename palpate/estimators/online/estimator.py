@@ -147,8 +147,7 @@ class OnlineSession(RunSession):
             field = self._field(frame)
         doubts = "" if field is not None or not frame.in_contact else self._reason
         verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
-        found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
-        yield replace(found, field=field)
+        yield replace(frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True), field=field)
 
     def _field(self, frame: PreparedFrame) -> ParticleField | None:
         """Return stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""

@@ -51,5 +51,4 @@ def knot_shares(rest: np.ndarray, more: int = 0) -> tuple[list[np.ndarray], np.n
         more: numbers behind the knots, in which no particle shares.
     """
     parts = [bumps(rest, knots) for knots in KNOTS]
-    both = block_diag(*parts).reshape(2, len(rest), -1)
-    return parts, np.pad(both, ((0, 0), (0, 0), (0, more)))
+    return parts, np.pad(block_diag(*parts).reshape(2, len(rest), -1), ((0, 0), (0, 0), (0, more)))

@@ -55,8 +55,7 @@ class SequenceTissue:
             self.unseen += not len(cloud)
             some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
             shown: Cloud = cloud[some], self.surface.seen
-            gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
-            yield frame, self._field(gap)
+            yield frame, self._field(self.driven.step(self._moved(frame), shown, self._led(frame)).gap)
 
     def _moved(self, frame: int) -> np.ndarray:
         """Return the motion of the followed points since rest, in the view's picture and away from its eye, shape [P,

@@ -99,8 +99,7 @@ class Bench:
         closest place isn't, and is closer wherever the surface bends.
         """
         sights = self.sights[which] @ pose[:3, :3].T
-        placed = moved(self.palpations[which].points, pose)
-        match = Match.along(placed, sights, vertices, self.skin.triangles)
+        match = Match.along(moved(self.palpations[which].points, pose), sights, vertices, self.skin.triangles)
         return match, (match.normal * sights).sum(axis=1)
 
     def counting(self, match: Match, cosine: np.ndarray, which: int) -> np.ndarray:

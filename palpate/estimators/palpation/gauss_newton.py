@@ -44,8 +44,7 @@ def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[
         # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
         slopes = rest.tangents() * np.array([-float(np.mean(rest.material.young)), 1.0])
         on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
-        moved = bench.skin.shares @ rest.displacement
-        surface = scale * moved, scale * on_skin.reshape(-1, 3, 2)
+        surface = scale * (bench.skin.shares @ rest.displacement), scale * on_skin.reshape(-1, 3, 2)
         states[id(rest)] = State(*surface, scale * rest.displacement, scale * slopes)
     return [states[id(rest)] for rest in rests]
 
@@ -232,8 +231,7 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
             if trust < System.shortest or stiffer > 4.0**5:
                 raise
             continue
-        states = states_of(bench, tried, 1.0)
-        following = System(bench, states, np.zeros(2), found.poses, ends(aim[1]))
+        following = System(bench, states_of(bench, tried, 1.0), np.zeros(2), found.poses, ends(aim[1]))
         if rests and following.cost > System.rough * system.cost and trust > System.shortest:
             trust /= 3
             continue

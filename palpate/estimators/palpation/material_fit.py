@@ -91,8 +91,7 @@ def fit_material(
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
         ValueError: a contact off the surface, too few points next to the hole, or a reversed force.
     """
-    contacts = np.array([each.contact for each in palpations])
-    normals = Match.of(contacts, skin.vertices, skin.triangles).normal
+    normals = Match.of(np.array([each.contact for each in palpations]), skin.vertices, skin.triangles).normal
     for number, (each, normal) in enumerate(zip(palpations, normals, strict=True), start=1):
         if each.force @ normal > 0:
             problem = f"the force of palpation {number} points out of the body; give what the tool does to the body,"

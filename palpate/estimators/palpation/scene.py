@@ -121,8 +121,7 @@ def read_scene(path: Path) -> Scene:
         raise InputError(f"{printable(path)}: {count} nodes lie below held_below; raise it (lowest {low.min():.4g} m).")
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
-    skin = cover(body, vertices, triangles, vertices[:, axis] <= base)
-    return Scene(skin, held, palpations)
+    return Scene(cover(body, vertices, triangles, vertices[:, axis] <= base), held, palpations)
 
 
 def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:

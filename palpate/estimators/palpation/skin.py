@@ -114,8 +114,7 @@ def shapes_at(body: Solid, element: np.ndarray, points: np.ndarray) -> csr_array
         change = np.einsum("pj,pji->pi", beyond, inverse)
         place = place + np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
     index = np.repeat(np.arange(len(points)), nodes.shape[1]), nodes.ravel()
-    values = _shapes(best) if quadratic else best
-    return csr_array((values.ravel(), index), shape=(len(points), len(body.rest)))
+    return csr_array(((_shapes(best) if quadratic else best).ravel(), index), shape=(len(points), len(body.rest)))
 
 
 def _shapes(place: np.ndarray) -> np.ndarray:

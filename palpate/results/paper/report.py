@@ -89,8 +89,7 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         "motion.csv": motion,
     }
     found = {name: pd.DataFrame.from_dict(dict(rows), orient="index") for name, rows in tables.items()}
-    spread = spread_of(frames, bounds, len(motions))
-    found["spread.csv"] = spread.assign(constant=as_reported(constant, bounds))
+    found["spread.csv"] = spread_of(frames, bounds, len(motions)).assign(constant=as_reported(constant, bounds))
     found["per_frame.csv"] = frames.join(settled[PREDICTED]).set_index("clip")
     return Evaluation(found, predicted, constant)
 

@@ -52,8 +52,7 @@ def simulate_contacts(
     Returns:
         Contact-vertex displacements [n, T, 3] [scene units] and displacement errors [n] [scene units²].
     """
-    each = torch.tensor(theta, dtype=torch.float32).expand(len(contacts), 3)
-    trajectories = _rolled_out(each, contacts, mechanics)
+    trajectories = _rolled_out(torch.tensor(theta, dtype=torch.float32).expand(len(contacts), 3), contacts, mechanics)
     return trajectories.numpy(), displacement_error(trajectories, _observed(contacts)).double().numpy()
 
 

@@ -130,5 +130,4 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
     )
     # SD over the admissible range, and over the mean where the range is far too wide for the scene.
     constant = (spread["sd_of_range"] < 0.02) & ~(spread["sd_of_mean"] >= 0.2)
-    few = contacts < 3
-    return spread.assign(verdict="n too small" if few else np.where(constant, "constant", "varies"))
+    return spread.assign(verdict="n too small" if contacts < 3 else np.where(constant, "constant", "varies"))

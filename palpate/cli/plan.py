@@ -95,8 +95,7 @@ def _plan(scene: PlanScene, record: Path, picture: Path, cache: Path, console: C
     costs = EdgeCosts(scene, tables)
     plan = find_plan(costs)
     seconds = time.perf_counter() - begun
-    direct = find_plan(EdgeCosts(dataclasses.replace(scene, alpha=0.0), tables))
-    direct = costs.plan(direct.places)
+    direct = costs.plan(find_plan(EdgeCosts(dataclasses.replace(scene, alpha=0.0), tables)).places)
     ways = {"planned": plan, "shortest": direct}
     numbers = {name: dataclasses.asdict(way) | {"places": np.round(way.places, 6)} for name, way in ways.items()}
     found: dict[str, Any] = {"alpha": scene.alpha, "plan": numbers["planned"], "shortest": numbers["shortest"]}

@@ -17,7 +17,6 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
 from palpate.estimators.palpated import palpated_young
 
-Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
@@ -35,7 +34,7 @@ class SoftObject(Checked):
     young: Annotated[float, 1.0, 1e12]
     """Young's modulus E [Pa]."""
     poisson: Annotated[float, 0, 0.499] = 0.45
-    held: tuple[Side, ...] = ("top",)
+    held: tuple[Literal["bottom", "top", "left", "right"], ...] = ("top",)
     """Sides that don't move."""
     longest: Annotated[float, 1e-15, 0.1] = 0.04
     """Distance over which tissue is pushed along until it lets the tip by [m], 10 cm at most."""

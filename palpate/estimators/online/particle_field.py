@@ -138,11 +138,6 @@ class FieldResult:
         return self.last.skill
 
     @property
-    def explained(self) -> bool:
-        """True if tissue that the instrument moves explains the motion."""
-        return self.last.explained
-
-    @property
     def simpler(self) -> bool:
         """True if a sheet of one number predicts better than the field, which then counts for nothing."""
         return self.skills.get(SHEET, -math.inf) > self.skills.get(FIELD, math.inf)
@@ -163,7 +158,7 @@ class FieldResult:
         if math.isnan(self.skill):
             return ""
         left = f"{1 - self.skill:.0%} of the motion"
-        if not self.explained:
+        if not self.last.explained:
             text = f"The fit does not explain the motion: it leaves {left} ({1 - LEAST_SKILL:.0%} at most are allowed),"
             return f"{text} so no stiffness is given or coloured."
         if not self.stretched:

@@ -15,18 +15,10 @@ from palpate.estimators.records import FrameEstimate, InteractionEstimate
 if TYPE_CHECKING:
     from palpate.results.writer import ClipResults
 
-ARTEFACTS = Registry(
-    "file",
-    "palpate.artefacts",
-    {
-        name: f"palpate.results.artefacts.{name}"
-        for name in (
-            *("tables:FrameTable", "tables:ContactTable", "tables:CalibratedTable", "forces:ForceFile"),
-            "results:ResultFile",
-            *("overlay:Overlay", "fit:FitPicture", "fields:FieldFile", "export:Export", "bag:Ros1Bag", "bag:Ros2Bag"),
-        )
-    },
-)
+_built_in = ("tables:FrameTable", "tables:ContactTable", "tables:CalibratedTable", "forces:ForceFile")
+_built_in += ("results:ResultFile", "overlay:Overlay", "fit:FitPicture", "fields:FieldFile", "export:Export")
+_built_in += ("bag:Ros1Bag", "bag:Ros2Bag")
+ARTEFACTS = Registry("file", "palpate.artefacts", {name: f"palpate.results.artefacts.{name}" for name in _built_in})
 """Files that are written for a clip, in this order."""
 
 

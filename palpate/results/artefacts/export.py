@@ -95,7 +95,7 @@ def _press(found: PressResult, contact: Interaction, mechanics: Mechanics, times
 
 
 def _field(found: FieldResult) -> Deformation:
-    if not found.explained:
+    if not found.last.explained:
         raise NoEstimate("The simulation of tissue under the instrument alone does not explain the motion.")
     last, session = found.last, found.driven.session
     rest, places = found.driven.surface.body.rest, np.stack(found.driven.past)

@@ -16,16 +16,13 @@ from palpate.results.verdicts import NOTES
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-Failure = tuple[str, str]
-"""Name of a clip that has no results, and the sentence that says why."""
 
-
-def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> Path:
+def write_pages(output: Path, failed: Iterable[tuple[str, str]] = (), *, anew: bool) -> Path:
     """Write the page of a folder of results, and those of its clips; returns the former.
 
     Args:
         output: the folder.
-        failed: clips of this batch without results.
+        failed: names of this batch's clips without results, each with the sentence that says why.
         anew: whether to write all clips' pages, not only those that are missing or older than their results.
 
     Raises:

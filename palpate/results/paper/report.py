@@ -80,11 +80,10 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     motion = {name: simulated.motion_row(settled[name]) | share for name, share in shares.items()}
     both = zip(clips, contacts, strict=True)
     motions = {(clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in both}
+    compared = {name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED}
     tables: dict[str, dict[str, dict[str, Any]]] = {
         "table_2.csv": {name: summarise(values, clips) for name, values in errors.items()},
-        "comparisons.csv": {
-            name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED
-        },
+        "comparisons.csv": compared,
         "depth.csv": {name: summarise(frames[column], clips) for name, column in depths.items()},
         "motion.csv": motion,
     }

@@ -24,8 +24,6 @@ COMMANDS = {name: f"palpate.cli.{name}" for name in OWN} | {
     "synthetic": "palpate.data.synthetic.__main__",
 }
 """Modules whose `main` takes a command's arguments."""
-EXTRAS = dict.fromkeys(("train", "export"), "train")
-"""Extras that some of them need installed."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -43,16 +41,16 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         command = load_program(COMMANDS[name])
     except ModuleNotFoundError as error:
-        if name not in EXTRAS:
+        if name not in ("train", "export"):
             raise
-        print(f"palpate: {name} needs {error.name}; install 'palpate[{EXTRAS[name]}]'.", file=sys.stderr)
+        print(f"palpate: {name} needs {error.name}; install 'palpate[train]'.", file=sys.stderr)
         return 2
     sys.argv[:] = [f"palpate {name}"]  # what the command calls itself in its messages
     return command.main(["export", *rest] if name == "export" else rest)
 
 
 def summary(name: str) -> str:
-    """First line of a command's description, read without importing the command."""
+    """Return the first line of a command's description, read without importing the command."""
     if name == "export":
         return "A trained network as one ONNX file for `palpate infer --model`."
     spec = importlib.util.find_spec(COMMANDS[name])
@@ -62,7 +60,7 @@ def summary(name: str) -> str:
 
 
 def command() -> None:
-    """The installed command `palpate`."""
+    """Run the installed command `palpate`."""
     enter_door()
     run_door(main)
 

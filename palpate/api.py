@@ -60,7 +60,7 @@ def estimate(
 
 
 def calibrate(scene: str | Path) -> MaterialFit:
-    """Young's modulus [Pa] and Poisson's ratio from surfaces under known forces (Frank 2010, section IV).
+    """Fit Young's modulus [Pa] and Poisson's ratio to surfaces under known forces (Frank 2010, section IV).
 
     Args:
         scene: YAML file as in `palpate calibrate palpation`.
@@ -74,7 +74,7 @@ def calibrate(scene: str | Path) -> MaterialFit:
 
 
 def plan(scene: str | Path, cache: str | Path, alpha: float | None = None) -> Plan:
-    """The cheapest path of an instrument's tip past tissue that gives way (Frank 2010, section VII).
+    """Find the cheapest path of an instrument's tip past tissue that gives way (Frank 2010, section VII).
 
     Args:
         scene: YAML file as in `palpate plan`.

@@ -14,7 +14,7 @@ from palpate.data.masks.outlining import OutlineSession
 
 
 class OutlinePage:
-    """Serves the page until it is closed; a notebook shows it in a cell.
+    """Server of the page until it is closed; a notebook shows it in a cell.
 
     Args:
         clip: a video file or a folder of frames.
@@ -60,7 +60,7 @@ class OutlinePage:
 
 
 def _handler(session: OutlineSession, top: str) -> type[BaseHTTPRequestHandler]:
-    """A handler that answers below a secret path alone."""
+    """Return a handler that answers below a secret path alone."""
     asked: dict[str, Callable[..., Any]] = {"cut": session.cut, "follow": session.follow}
 
     class Handler(BaseHTTPRequestHandler):
@@ -79,8 +79,7 @@ def _handler(session: OutlineSession, top: str) -> type[BaseHTTPRequestHandler]:
             name = self.path.removeprefix(top)
             given = self.rfile.read(int(self.headers["Content-Length"] or 0))
             try:
-                found = asked[name](**json.loads(given))
-                self._answer(200, "application/json", as_json(found).encode())
+                self._answer(200, "application/json", as_json(asked[name](**json.loads(given))).encode())
             except (KeyError, TypeError, ValueError, OSError) as error:
                 self._answer(400, "text/plain; charset=utf-8", str(error).encode())
 
@@ -92,6 +91,6 @@ def _handler(session: OutlineSession, top: str) -> type[BaseHTTPRequestHandler]:
             self.wfile.write(content)
 
         def log_message(self, format: str, *args: Any) -> None:
-            """Requests are no news."""
+            """Print nothing about requests."""
 
     return Handler

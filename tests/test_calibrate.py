@@ -128,4 +128,4 @@ def test_a_surface_of_no_points_is_a_sentence(tmp_path, capsys, rows, count):
     scene = write_scene(tmp_path)
     (tmp_path / "observed.csv").write_text(f"x,y,z\n{rows}")
     assert calibrate.main(["palpation", str(scene), "--output", str(tmp_path / "out")]) == 1
-    assert f"observed.csv holds {count} points; give the surface as it was seen" in capsys.readouterr().err
+    assert f"observed.csv holds {count} points; give 12 or more of the pressed surface" in capsys.readouterr().err

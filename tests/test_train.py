@@ -624,7 +624,7 @@ def test_one_mlflow_run_holds_fit_resume_test_and_export(clips: Path, config: Pa
     assert train.main(["test", *given, "--ckpt_path", "best"]) == 0
     assert train.main(["export", *given, "--ckpt_path", "best", "--output", str(output)]) == 0
     client = MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
-    experiment = client.get_experiment_by_name(tracking.EXPERIMENT)
+    experiment = client.get_experiment_by_name("palpate")
     [run] = client.search_runs([experiment.experiment_id])
     assert (run.info.run_name, run.info.status) == ("a/first", "FINISHED")
     assert last(folder)[tracking.RUN_ID] == run.info.run_id

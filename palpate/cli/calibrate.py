@@ -29,8 +29,6 @@ from palpate.physics.fem import NoEquilibrium
 from palpate.physics.identifiability import NINETY
 from palpate.results.store import OutputError, make_output, writing
 
-PALPATION = ("calibration.json", "errors.csv")
-
 
 @dataclass(frozen=True)
 class CalibrateOptions:
@@ -50,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     options: CalibrateOptions = read_options(CalibrateOptions, arguments, "", __doc__)
     try:
         with writing(options.output):
-            require_own(*(options.output / name for name in PALPATION))
+            require_own(options.output / "calibration.json", options.output / "errors.csv")
         return _palpation(options, console)
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
@@ -62,8 +60,7 @@ def _palpation(options: CalibrateOptions, console: Console) -> int:
     scene = read_scene(path)
     make_output(output)  # before what takes minutes
     try:
-        problem = scene.skin, scene.held, scene.palpations
-        found = fit_material(*problem, report=lambda line: say(console, line))
+        found = fit_material(scene.skin, scene.held, scene.palpations, report=lambda line: say(console, line))
     except (ValueError, NoEquilibrium) as error:
         raise InputError(f"{path}: {error}") from error
     nothing = found.verdict == NOTHING
@@ -71,22 +68,20 @@ def _palpation(options: CalibrateOptions, console: Console) -> int:
     record: dict[str, object] = {"verdict": found.verdict}
     record |= {"young_pa": young, "poisson": poisson, "surface_error_rms_m": found.noise, "equilibria": found.solves}
     record |= {"poses": found.poses, "source": f"{len(scene.palpations)} palpations of {path.name}"}
+    softest, stiffest = found.young * np.exp(np.array([-1, 1]) * NINETY * found.young_sd)
     if not nothing:
-        half = NINETY * found.young_sd
-        record |= {
-            "young_low_pa": found.young * np.exp(-half),
-            "young_high_pa": found.young * np.exp(half),
-            "poisson_sd": found.poisson_sd,
-            "covariance_of_log_young_and_poisson": found.covariance,
-        }
-    _write(output, "calibration.json", as_json(record, indent=1) + "\n")
-    _write(output, "errors.csv", _errors(scene, found))
-    say(console, f"written: {', '.join(f'{output}/{name}' for name in PALPATION)}")
+        record |= {"young_low_pa": softest, "young_high_pa": stiffest, "poisson_sd": found.poisson_sd}
+        record["covariance_of_log_young_and_poisson"] = found.covariance
+    make_output(output)
+    with writing(output):
+        write_own(output / "calibration.json", as_json(record, indent=1) + "\n")
+        write_own(output / "errors.csv", _errors(scene, found))
+    say(console, f"written: {output}/calibration.json, {output}/errors.csv")
     if nothing:
         noise = f"points {1000 * found.noise:.2g} mm off the simulated surface (rms)"
         print(f"{NOTHING}: the surface moved too little for {noise}; press harder, or give more pictures.")
         return 0
-    interval = f" (90 %: {record['young_low_pa']:.4g} to {record['young_high_pa']:.4g})"
+    interval = f" (90 %: {softest:.4g} to {stiffest:.4g})"
     low, high = found.poisson - NINETY * found.poisson_sd, found.poisson + NINETY * found.poisson_sd
     doubt = f" (90 %: {low:.3f} to {high:.3f})" + ("" if found.verdict == "determined" else ", not determined")
     print(f"E = {found.young:.4g} Pa{interval}, ν = {found.poisson:.3f}{doubt}; {found.solves} equilibria")
@@ -99,9 +94,3 @@ def _errors(scene: Scene, found: MaterialFit) -> str:
         errors = 1000 * np.sqrt(surface_error(scene.skin, rest, each, pose))
         rows += [{"palpation": number, "point": i, "error_mm": error} for i, error in enumerate(errors.tolist())]
     return to_csv(rows, ("palpation", "point", "error_mm"), ".4f")
-
-
-def _write(output: Path, name: str, content: str) -> None:
-    make_output(output)
-    with writing(output):
-        write_own(output / name, content)

@@ -48,12 +48,10 @@ from palpate.results.options import FRAME_FORCE, require_able
 
 LIVE = Registry("live estimator", ESTIMATORS.group, {x: ESTIMATORS.entries[x].value for x in ("network", "online")})
 """Estimators that estimate while frames come."""
-WAITING, UNDECIDED = 1, 16
-"""Frames that wait for their estimate, and prepared ones that wait for their decision: a press takes longer."""
 
 
 def igtl_server(port: int) -> Any:
-    """A `pyigtl.OpenIGTLinkServer` on this machine.
+    """Return a `pyigtl.OpenIGTLinkServer` on this machine.
 
     Raises:
         ValueError: pyigtl is not installed, or the port can't be opened.
@@ -70,7 +68,7 @@ def igtl_server(port: int) -> Any:
 
 @contextmanager
 def stopped_by_interrupt(source: LiveSource) -> Generator[None]:
-    """While it lasts, the first Ctrl-C stops the source, so that what has been seen is still estimated."""
+    """Let the first Ctrl-C stop the source, so that what has been seen is still estimated."""
 
     def stop(*_: object) -> None:
         source.stop()
@@ -90,11 +88,11 @@ class Live:
     source: str = option(positional=True, metavar="SOURCE")
     """camera's number, address of a stream, video file (played at its own rate), or - for RGB pictures from a pipe"""
     estimator: str | None = option(None, choices=lambda: [*LIVE.entries], needs=("live", "estimates while frames come"))
-    """one that estimates while frames come (default: what --model is for, else network)"""
+    """estimator that estimates while frames come (default: what --model is for, else network)"""
     max_latency: Annotated[float, 1e-3, LARGEST] = option(1.0, metavar="SECONDS")
     """frames that have waited longer are dropped and counted [s]"""
     size: str | None = option(None, metavar="WxH")
-    """of a pipe's pictures [px]"""
+    """size of a pipe's pictures [px]"""
     fps: Annotated[float, 1, LARGEST] | None = None
     """frames a second (default: as the source says; of a pipe 25)"""
     every: Annotated[int, 1, 100] = option(1, metavar="N")
@@ -131,27 +129,24 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         estimator = filled(ESTIMATORS[values["estimator"]], values).build()
         require_able(estimator, values, (Live,))
-        chosen = filled(Preparation, values | {"layout": ClipLayout(right=options.right)})
-        settings = preparation(estimator, chosen)
+        settings = preparation(estimator, filled(Preparation, values | {"layout": ClipLayout(right=options.right)}))
         # The depth's scale is found in so much of the beginning [s]; a source won't begin again.
         depth = dataclasses.replace(settings.depth, scale_seconds=0.5)
-        source = open_live(
-            options.source, options.max_latency, options.pixels, options.fps, sys.stdin.buffer, options.every
-        )
+        given = options.max_latency, options.pixels, options.fps, sys.stdin.buffer, options.every
+        source = open_live(options.source, *given)
         clip = ClipStream(halves(source, settings.layout), dataclasses.replace(settings, depth=depth))
         session = estimator.start(ClipInfo.of(clip))
         server = None if options.igtl is None else igtl_server(options.igtl)
     except (ValueError, OSError) as error:
         print(f"palpate live: {error}", file=sys.stderr)
         return 2
-    alarm = None
-    if options.force_limit is not None:
-        raised = options.alarm_at or ForceAlarm.raised
-        alarm = ForceAlarm(options.force_limit, UNITS["force"], estimator.force_seconds, raised)
+    limit, raised = options.force_limit, options.alarm_at or ForceAlarm.raised
+    alarm = None if limit is None else ForceAlarm(limit, UNITS["force"], estimator.force_seconds, raised)
     lines = JsonLines(source, server, alarm)
     try:
         with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
-            for output in estimates_of(session, clip.overlapped(UNDECIDED, WAITING, lines.notice)):
+            # Frames that wait for their decision, as a press takes longer than a frame, and one for its estimate.
+            for output in estimates_of(session, clip.overlapped(16, 1, lines.notice)):
                 lines.add(output)
         status = INTERRUPTED if source.stopped else 0
     except (ValueError, OSError) as error:
@@ -164,7 +159,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 class JsonLines:
-    """Prints estimates of a source as lines of JSON, and says how late they were.
+    """Printer of a source's estimates as lines of JSON, with their latency.
 
     Args:
         source: whose estimates are printed.
@@ -216,7 +211,7 @@ class JsonLines:
                 server.send_message(StringMessage(line, device_name="palpate"), wait=False)
 
     def summary(self) -> str:
-        """A sentence on frames, latency, and what was lost."""
+        """Return a sentence on frames, latency, and what was lost."""
         if not self._frames:
             return "No frame was estimated."
         seconds = time.monotonic() - self._begun

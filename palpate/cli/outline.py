@@ -30,7 +30,7 @@ class OutlineOptions:
     output: Path | None = None
     """outlines that are written (default: CLIP.outlines.yaml)"""
     port: Annotated[int, 0, 65535] = 0
-    """of 127.0.0.1 (default: a free one)"""
+    """port of 127.0.0.1 (default: a free one)"""
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -23,7 +23,7 @@ class PageOptions:
     """The results."""
 
     results: Path = option(positional=True, metavar="RESULTS")
-    """what was --output of palpate infer"""
+    """folder of results: --output of palpate infer"""
 
     def __post_init__(self) -> None:
         """Raise a ValueError where the folder holds no results."""

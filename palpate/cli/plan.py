@@ -29,16 +29,11 @@ from palpate.common.tables import to_csv
 from palpate.data.source.layout import InputError
 from palpate.planning.cost_table import open_tables
 from palpate.planning.pictures import draw_plan
-from palpate.planning.roadmap import EdgeCosts, Plan, find_plan
+from palpate.planning.roadmap import EdgeCosts, find_plan
 from palpate.planning.scene import PlanScene, SpaceScene, read_plan_scene
 from palpate.planning.space_map import open_costs, plan_in_space
 from palpate.planning.waypoints import COLUMNS, waypoints
 from palpate.results.store import OutputError, make_output, writing
-
-SOFTEST = 50.0
-"""Tissue is stiffer [Pa]."""
-NAMES = ("plan.json", "plan.png")
-SPACE_NAMES = ("plan.json", "path.csv")
 
 
 @dataclass(frozen=True)
@@ -46,13 +41,13 @@ class PlanOptions:
     """The scene and the results."""
 
     scene: Path = option(positional=True, metavar="SCENE.yaml")
-    """as configs/scenes/two_curtains.yaml"""
+    """scene, such as configs/scenes/two_curtains.yaml"""
     output: Path = option(metavar="OUT")
     """folder of the results"""
     alpha: Annotated[float, 0, 1] | None = option(None, metavar="A")
-    """0 = the shortest way, 1 = the gentlest"""
+    """weight of deformation against way: 0 = the shortest way, 1 = the gentlest"""
     cache: Path | None = option(None, metavar="DIR")
-    """of simulated presses and road maps (default: presses in OUT)"""
+    """folder of simulated presses and road maps (default: presses in OUT)"""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -63,13 +58,20 @@ def main(arguments: list[str] | None = None) -> int:
         scene = read_plan_scene(options.scene, options.alpha)
         cache = options.cache or options.output / "presses"
         youngs = [each.young for each in ([scene] if isinstance(scene, SpaceScene) else scene.objects.values())]
-        if (young := min(youngs, default=SOFTEST)) < SOFTEST:
+        softest = 50.0  # tissue is stiffer [Pa]
+        if (young := min(youngs, default=softest)) < softest:
             say(console, f"{options.scene}: young is {young:g} Pa, softer than tissue; give Pa, not kPa", "yellow")
+        name = "path.csv" if isinstance(scene, SpaceScene) else "plan.png"
+        record, second = options.output / "plan.json", options.output / name
         with writing(options.output):
-            require_own(*(options.output / name for name in (SPACE_NAMES if isinstance(scene, SpaceScene) else NAMES)))
+            require_own(record, second)
+        make_output(options.output)  # before what takes minutes
         if isinstance(scene, SpaceScene):
-            return _plan_in_space(scene, options.output, cache, console)
-        return _plan(scene, options.output, cache, console)
+            _plan_in_space(scene, record, second, cache, console)
+        else:
+            _plan(scene, record, second, cache, console)
+        say(console, f"written: {record}, {second}")
+        return 0
     except (InputError, OutputError) as error:
         say(console, str(error), "red")
     except ValueError as error:
@@ -77,8 +79,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 1
 
 
-def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
-    make_output(output)  # before what takes minutes
+def _plan(scene: PlanScene, record: Path, picture: Path, cache: Path, console: Console) -> None:
     simulated = dict.fromkeys(scene.objects, 0)
     with progress_bars(console) as progress, writing(cache):
         bars = {name: progress.add_task(f"presses on {name}", total=None) for name in scene.objects}
@@ -94,49 +95,34 @@ def _plan(scene: PlanScene, output: Path, cache: Path, console: Console) -> int:
     costs = EdgeCosts(scene, tables)
     plan = find_plan(costs)
     seconds = time.perf_counter() - begun
-    direct = find_plan(EdgeCosts(dataclasses.replace(scene, alpha=0.0), tables))
-    direct = costs.plan(direct.places)
+    direct = costs.plan(find_plan(EdgeCosts(dataclasses.replace(scene, alpha=0.0), tables)).places)
     ways = {"planned": plan, "shortest": direct}
-    numbers = {name: _numbers(way) for name, way in ways.items()}
-    record: dict[str, Any] = {"alpha": scene.alpha, "plan": numbers["planned"], "shortest": numbers["shortest"]}
-    record["query_s"] = round(seconds, 4)
-    record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way"
-    with writing(output):
-        write_own(output / NAMES[0], as_json(record, indent=1) + "\n")
-        with replacing_own(output / NAMES[1]) as partial:
+    numbers = {name: dataclasses.asdict(way) | {"places": np.round(way.places, 6)} for name, way in ways.items()}
+    found: dict[str, Any] = {"alpha": scene.alpha, "plan": numbers["planned"], "shortest": numbers["shortest"]}
+    found["query_s"] = round(seconds, 4)
+    found["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way"
+    with writing(record.parent):
+        write_own(record, as_json(found, indent=1) + "\n")
+        with replacing_own(picture) as partial:
             draw_plan(scene, ways).savefig(partial, dpi=110)
-    for name, found in numbers.items():
-        summary = f"deformation {found['deformation']:.2f} mJ, way {found['way']:.1f} mm"
-        print(f"{name}: cost {found['cost']:.2f} ({summary})")
-    say(console, f"written: {output}/{NAMES[0]}, {output}/{NAMES[1]}")
-    return 0
+    for name, way in ways.items():
+        print(f"{name}: cost {way.cost:.2f} (deformation {way.deformation:.2f} mJ, way {way.way:.1f} mm)")
 
 
-def _plan_in_space(scene: SpaceScene, output: Path, cache: Path, console: Console) -> int:
-    make_output(output)
+def _plan_in_space(scene: SpaceScene, record: Path, path: Path, cache: Path, console: Console) -> None:
     with writing(cache):
-        costs, found = open_costs(scene, cache)
-    say(console, "road map found in the cache" if found else "road map made")
+        costs, known = open_costs(scene, cache)
+    say(console, "road map found in the cache" if known else "road map made")
     begun = time.perf_counter()
     plan = plan_in_space(costs)
     seconds = time.perf_counter() - begun
     rows, (low, high) = waypoints(costs, plan), costs.interval(plan)
-    record = dataclasses.asdict(plan) | {"cost_low": low, "cost_high": high, "largest_force": rows[:, 8].max()}
-    straight = costs.plan(np.stack([costs.start, costs.goal]))
-    record["straight_cost"] = straight.cost if np.isfinite(straight.cost) else None  # over the limit
-    record |= {"alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
-    record["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
-    table = to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g")
-    texts = as_json(record, indent=1) + "\n", table
-    with writing(output):
-        for name, text in zip(SPACE_NAMES, texts, strict=True):
-            write_own(output / name, text)
-    print(f"cost {plan.cost:.2f} ({low:.2f} to {high:.2f}), largest force {record['largest_force']:.2f} N")
-    say(console, f"written: {output}/{', '.join(SPACE_NAMES)}")
-    return 0
-
-
-def _numbers(plan: Plan) -> dict[str, Any]:
-    """Return the numbers of a way, as the record has them."""
-    numbers = {"cost": plan.cost, "deformation": plan.deformation, "way": plan.way}
-    return {"places": np.round(plan.places, 6).tolist()} | numbers
+    found = dataclasses.asdict(plan) | {"cost_low": low, "cost_high": high, "largest_force": rows[:, 8].max()}
+    # As JSON an infinite cost, over the limit, is null.
+    found["straight_cost"] = costs.plan(np.stack([costs.start, costs.goal])).cost
+    found |= {"alpha": scene.alpha, "young_pa": scene.young, "query_s": round(seconds, 4)}
+    found["units"] = "places m, deformation mJ, way mm, cost α·deformation + (1 - α)·way, forces N, intervals 90 %"
+    with writing(record.parent):
+        write_own(record, as_json(found, indent=1) + "\n")
+        write_own(path, to_csv([dict(zip(COLUMNS, row, strict=True)) for row in rows.tolist()], form=".6g"))
+    print(f"cost {plan.cost:.2f} ({low:.2f} to {high:.2f}), largest force {found['largest_force']:.2f} N")

@@ -29,8 +29,6 @@ from palpate.data.source.layout import InputError
 from palpate.models.checkpoint import read_checkpoint
 from palpate.results.record import sha256_of
 
-EXPERIMENT = "palpate"
-"""Name of the experiment that holds the runs, and so compares them."""
 RUN_ID = "mlflow_run_id"
 """Name under which a checkpoint holds its run's id."""
 LOCK_TIMEOUT_S = 5.0
@@ -57,7 +55,8 @@ class RunLogger(MLFlowLogger):
         database = f"sqlite:///{root / 'mlflow.db'}"
         run_id = None if checkpoint is None else _run_of(checkpoint, database, run_name)
         place: dict[str, Any] = {"tracking_uri": database, "artifact_location": str(root / "mlflow"), "run_id": run_id}
-        super().__init__(EXPERIMENT, run_name or folder.resolve().name, log_model="all", prefix=prefix, **place)
+        # One experiment holds all runs, and so compares them.
+        super().__init__("palpate", run_name or folder.resolve().name, log_model="all", prefix=prefix, **place)
         self._goes_on = run_id is not None
 
     @rank_zero_only
@@ -70,7 +69,7 @@ class RunLogger(MLFlowLogger):
 
 
 class RunRecord(SaveConfigCallback):
-    """Saves a run's configuration (in every checkpoint, too), and its data's digest."""
+    """Callback that saves a run's configuration (in every checkpoint, too), and its data's digest."""
 
     def save_config(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Log settings as parameters, and as configs/1_fit.yaml, configs/2_test.yaml, …; rank 0 alone calls this."""
@@ -98,7 +97,8 @@ class RunRecord(SaveConfigCallback):
 def loggers_of(
     folder: str, tracking: bool, name: str | None, checkpoint: str | None, command: str
 ) -> list[dict[str, Any]]:
-    """Settings of the loggers: CSV in the run folder, where config.yaml goes, too, then MLflow (see `RunLogger`).
+    """Return settings of the loggers: CSV in the run folder, where config.yaml goes, too, then MLflow (see
+    `RunLogger`).
 
     Raises:
         InputError: MLflow's database can't be used.
@@ -117,7 +117,7 @@ def loggers_of(
 
 
 def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:
-    """Id of a checkpoint's run, which gets the name if one is given; none where it isn't in the database."""
+    """Return the id of a checkpoint's run, which gets the name if one is given; None where it isn't in the database."""
     from mlflow import MlflowClient
     from mlflow.exceptions import MlflowException
 
@@ -130,7 +130,7 @@ def _run_of(checkpoint: Path, database: str, name: str | None) -> str | None:
 
 
 def tracked(trainer: Trainer) -> list[MLFlowLogger]:
-    """MLflow's loggers of a trainer: none where nothing is tracked."""
+    """Return MLflow's loggers of a trainer; none where nothing is tracked."""
     return [logger for logger in trainer.loggers if isinstance(logger, MLFlowLogger)]
 
 
@@ -148,8 +148,7 @@ def log_data(logger: MLFlowLogger, root: Path, command: str) -> None:
     place = {"source_type": "local", "source": as_json({"uri": str(root)})}
     # MLflow's databases hold 36 characters.
     data = Dataset(name=root.resolve().name, digest=sha256_of(root)[:16], **place)
-    given = DatasetInput(data, [InputTag("mlflow.data.context", command)])
-    logger.experiment.log_inputs(logger.run_id, [given])
+    logger.experiment.log_inputs(logger.run_id, [DatasetInput(data, [InputTag("mlflow.data.context", command)])])
 
 
 def _require_database(path: Path) -> None:

@@ -44,31 +44,13 @@ from palpate.models.onnx_export import ParityError
 from palpate.physics.mechanics import Bounds, Mechanics, UnstableConfiguration
 from palpate.results.paper.report import FILES, EvaluationError, write_evaluation
 
-MAX_SEED = 2**32 - 1
-"""Largest seed of numpy's global generator."""
-LINKS = (
-    ("data.init_args.samples.window", "model.init_args.window", 1),
-    ("model.init_args.mechanics", "data.init_args.samples.mechanics", asdict(Mechanics())),
-    ("model.init_args.bounds", "data.init_args.bounds", asdict(Bounds())),
-    ("data.init_args.geometry", "data.init_args.samples.geometry", asdict(GeometrySettings())),
-)
-"""A setting, the one that follows it, and that one's default; Lightning leaves out what a class lacks."""
-CHECKPOINTS = [{"filename": "last", "every_n_epochs": 1, "save_on_train_epoch_end": True}]
-"""Arguments of Lightning's ModelCheckpoint, for models that name none."""
-FAILURES = (InputError, TrainingDiverged, TrainingError, WorkerLost, ParityError, EvaluationError, ForeignFile)
-"""Errors with exit status 1, each of which is a sentence."""
-
 
 class UsageError(ValueError):
     """The command line or the configuration can't be followed, in one sentence."""
 
 
-WRONG_USE = (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException)
-"""Errors with exit status 2, likewise."""
-
-
 class SentenceParser(LightningArgumentParser):
-    """Reports errors in one sentence, without the list of all options."""
+    """Parser that reports errors in one sentence, without the list of all options."""
 
     def parse_path(self, cfg_path: str | os.PathLike[str], *arguments: Any, **options: Any) -> Namespace:
         """Read a configuration file as jsonargparse does, after checking that it can be read."""
@@ -139,7 +121,8 @@ class RunTrainer(Trainer):
 
 
 class RunFiles(Callback):
-    """Checks a checkpoint before it is followed, and writes the files of `fit` and `test` into the run folder.
+    """Callback that checks a checkpoint before it is followed, and writes the files of `fit` and `test` into the run
+    folder.
 
     Args:
         checkpoint: that the command follows; None = a training begins.
@@ -155,10 +138,8 @@ class RunFiles(Callback):
             require_same_weights(Path(self._checkpoint), pl_module, str(trainer.state.fn.value))
         root = trainer.default_root_dir
         if stage == "fit" and not self._goes_on and any(Path(root, "checkpoints").glob("*.ckpt")):
-            raise UsageError(
-                f"{root} holds a training already; add --ckpt_path last to go on with it, or give another "
-                "--trainer.default_root_dir."
-            )
+            remedy = "add --ckpt_path last to go on with it, or give another --trainer.default_root_dir"
+            raise UsageError(f"{root} holds a training already; {remedy}.")
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Refuse before the training to replace a user's file by the network's."""
@@ -196,7 +177,14 @@ class TrainCLI(LightningCLI):
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         parser.add_argument("--tracking", type=bool, default=True, help="Log to MLflow, next to the run folder.")
         parser.add_argument("--run_name", type=str | None, help="Name of the run in MLflow; null = the run folder's.")
-        for source, target, default in LINKS:
+        links = (
+            ("data.init_args.samples.window", "model.init_args.window", 1),
+            ("model.init_args.mechanics", "data.init_args.samples.mechanics", asdict(Mechanics())),
+            ("model.init_args.bounds", "data.init_args.bounds", asdict(Bounds())),
+            ("data.init_args.geometry", "data.init_args.samples.geometry", asdict(GeometrySettings())),
+        )
+        # A setting, the one that follows it, and that one's default; Lightning leaves out what a class lacks.
+        for source, target, default in links:
             parser.link_arguments((source, target), target, compute_fn=followed(source, target, default))
         features = "contact_features"
         parser.link_arguments(f"data.{features}", f"model.init_args.{features}", apply_on="instantiate")
@@ -220,7 +208,8 @@ class TrainCLI(LightningCLI):
             except InputError as error:
                 raise UsageError(str(error)) from error
         always: dict[str, Any] = {"auto_insert_metric_name": False, "enable_version_counter": False}
-        checkpoints = [ModelCheckpoint(folder, **always, **when) for when in getattr(model, "CHECKPOINTS", CHECKPOINTS)]
+        last = {"filename": "last", "every_n_epochs": 1, "save_on_train_epoch_end": True}
+        checkpoints = [ModelCheckpoint(folder, **always, **when) for when in getattr(model, "CHECKPOINTS", [last])]
         # Lightning's default bar is rich's where that is installed, which prints nothing outside a terminal.
         bars = [] if config.trainer.enable_progress_bar is False else [TQDMProgressBar()]
         files = RunFiles(config.ckpt_path, goes_on)
@@ -228,7 +217,7 @@ class TrainCLI(LightningCLI):
 
 
 def followed(source: str, target: str, default: Any) -> Callable[[Any, Any], Any]:
-    """Link of a setting to the one that it follows, which refuses another value of its own."""
+    """Return a link of a setting to the one that it follows, which refuses another value of its own."""
 
     def value(leading: Any, given: Any) -> Any:
         plain = given.as_dict() if isinstance(given, Namespace) else given
@@ -250,9 +239,9 @@ def require_usable(config: Namespace, refused: dict[str, tuple[tuple, str]]) -> 
     Raises:
         UsageError: such an option.
     """
-    trainer, seed = config.trainer, config.seed_everything
-    if isinstance(seed, int) and not 0 <= seed <= MAX_SEED:
-        raise UsageError(f"seed_everything is {shown(seed)}; give 0 to {MAX_SEED}.")
+    trainer, seed, largest = config.trainer, config.seed_everything, 2**32 - 1  # of numpy's global generator
+    if isinstance(seed, int) and not 0 <= seed <= largest:
+        raise UsageError(f"seed_everything is {shown(seed)}; give 0 to {largest}.")
     for name, (work, because) in refused.items():
         if trainer[name] not in work:
             raise UsageError(f"trainer.{name} is {shown(trainer[name])}, and {because}.")
@@ -261,10 +250,8 @@ def require_usable(config: Namespace, refused: dict[str, tuple[tuple, str]]) -> 
             raise UsageError(f"trainer.{name} is {trainer[name]}; give more than 0.")
     on_cpu = trainer.accelerator in (("cpu",) if torch.accelerator.is_available() else ("cpu", "auto"))
     if trainer.deterministic is True and not on_cpu:
-        raise UsageError(
-            "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU; give "
-            "warn, which makes the rest deterministic, or trainer.accelerator cpu."
-        )
+        problem = "trainer.deterministic is true, and reflection padding has no deterministic gradient on a GPU"
+        raise UsageError(f"{problem}; give warn, which makes the rest deterministic, or trainer.accelerator cpu.")
     allowed, devices = max(os.cpu_count() or 1, 2), str(trainer.devices)
     count = int(devices) if devices.removeprefix("-").isdecimal() else 1
     if not 1 <= count <= allowed and on_cpu:
@@ -272,7 +259,7 @@ def require_usable(config: Namespace, refused: dict[str, tuple[tuple, str]]) -> 
 
 
 def resolved(config: Namespace, command: str, folder: Path, given: str | None = None) -> str | None:
-    """Path of the checkpoint that a command follows, checked; None where a training begins.
+    """Return the path of the checkpoint that a command follows, checked; None where a training begins.
 
     Args:
         config: settings of the command.
@@ -310,9 +297,18 @@ def main(arguments: list[str] | None = None) -> int:
                 **{"parser_class": SentenceParser, "parser_kwargs": {"description": __doc__}},
                 **{"seed_everything_default": 0, "args": arguments},
             )
-    except (*WRONG_USE, *FAILURES) as error:
-        text = str(error)
-        status = 2 if isinstance(error, WRONG_USE) else 1
+    except (UsageError, CheckpointError, UnstableConfiguration, MisconfigurationException) as error:
+        text, status = str(error), 2
+    except (
+        InputError,
+        TrainingDiverged,
+        TrainingError,
+        WorkerLost,
+        ParityError,
+        EvaluationError,
+        ForeignFile,
+    ) as error:
+        text, status = str(error), 1
     except OSError as error:
         if error.strerror is None:  # the error is not from the file system
             raise

@@ -9,7 +9,7 @@ Item = TypeVar("Item")
 
 
 def ahead(items: Iterable[Item], most: int) -> Generator[Item]:
-    """The items of an iterable in their order, while a thread goes on with it.
+    """Yield the items of an iterable in their order, while a thread goes on with it.
 
     An error of the iterable is raised in the place of its item. Where the caller stops early, the thread ends with the
     item that it is at, and the iterable is closed, before this generator is.

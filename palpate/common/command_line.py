@@ -10,7 +10,7 @@ from palpate.common.doors import plain
 
 
 def size_of(text: str) -> tuple[int, int] | None:
-    """Width and height of a text such as 854x480; None where it is no size."""
+    """Return the width and height of a text such as 854x480; None where it is no size."""
     found = re.fullmatch("([0-9]+)x([0-9]+)", text)
     return None if found is None else (int(found[1]), int(found[2]))
 
@@ -21,7 +21,7 @@ def say(console: Console, sentence: str, style: str = "") -> None:
 
 
 def progress_bars(console: Console, *, disable: bool = False) -> progress.Progress:
-    """Bars with progress and time left.
+    """Return progress bars with the time left.
 
     Args:
         console: console on which they appear.

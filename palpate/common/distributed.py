@@ -13,7 +13,7 @@ Result = TypeVar("Result")
 
 
 def run_distributed(function: Callable[[Task], Result], tasks: Sequence[Task], scheduler: str) -> Iterator[Result]:
-    """Results of all tasks, in the order in which they are done; leaving the loop early cancels the others.
+    """Yield results of all tasks, in the order in which they are done; leaving the loop early cancels the others.
 
     Args:
         function: importable by its name, here and by the workers.

@@ -77,8 +77,8 @@ def run_door(main: Callable[[], int | None], interrupted: str = "Interrupted.") 
 def interruptible() -> Generator[None]:
     """Let Ctrl-C end what is done within as KeyboardInterrupt, wherever it lands.
 
-    Compiled code that it lands in ends with an error of its own, mostly SystemError, which must not pass for a
-    failure of the clip at hand.
+    Compiled code in which it lands ends with an error of its own, mostly SystemError, which is no failure of the clip
+    at hand.
     """
     try:
         yield
@@ -103,20 +103,22 @@ def load_program(module: str) -> ModuleType:
 
 
 def program(module: str = "") -> str:
-    """Name of the running program as it was typed, such as `infer.py`, `palpate infer` or `python -m MODULE`."""
+    """Return the name of the running program as it was typed, such as `infer.py`, `palpate infer` or `python -m
+    MODULE`."""
     name = os.path.basename(sys.argv[0])
     return f"python -m {module}" if module and not name.startswith("palpate ") else name
 
 
 def by_interrupt(error: BaseException | None) -> bool:
-    """Whether an interruption stands at the beginning of what went wrong."""
+    """Return whether an interruption stands at the beginning of what went wrong."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
     return error is not None
 
 
 def plain(text: str) -> str:
-    """Text on one line that does nothing to a terminal: control characters, as in file names, are shown as escapes."""
+    """Return a text on one line that does nothing to a terminal: control characters, as in file names, are shown as
+    escapes."""
     text = text.encode("utf-8", "replace").decode()
     return "".join(x if x.isprintable() else " " if x.isspace() else x.encode("unicode_escape").decode() for x in text)
 

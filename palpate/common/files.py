@@ -15,7 +15,7 @@ import yaml
 
 
 def read_file(path: Path, most: int = 2**24) -> bytes:
-    """Content of a file.
+    """Return the content of a file.
 
     Args:
         most: bytes; a larger file is not read. Those that describe something are smaller, an hour's time stamps are.
@@ -29,20 +29,14 @@ def read_file(path: Path, most: int = 2**24) -> bytes:
     return path.read_bytes()
 
 
-def read_beside(module: str, name: str = "") -> Any:
-    """Content of a YAML file that comes with this project, next to a module.
-
-    Args:
-        module: its `__file__`.
-        name: of the file; without one, the module's own.
-    """
-    path = Path(module)
-    text = (path.with_name(name) if name else path.with_suffix(".yaml")).read_text(encoding="utf-8")
+def read_beside(module: str) -> Any:
+    """Return the content of the YAML file next to a module, whose `__file__` is given, of the same name."""
+    text = Path(module).with_suffix(".yaml").read_text(encoding="utf-8")
     return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the former, where it is, in a tenth of it
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's content, which is never in memory as a whole.
+    """Return the SHA-256 of a file's content, which is never in memory as a whole.
 
     Raises:
         OSError: it can't be read, or is a pipe or a device.
@@ -53,7 +47,7 @@ def file_sha256(path: Path) -> str:
 
 
 def as_json(value: object, **layout: Any) -> str:
-    """A value as JSON: every document and every line of JSON that this program writes.
+    """Return a value as JSON: every document and every line of JSON that this program writes.
 
     JSON has no word for what isn't finite (RFC 8259, section 6): such numbers are null. Arrays are lists.
 
@@ -65,7 +59,7 @@ def as_json(value: object, **layout: Any) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """A value with None in place of numbers that aren't finite, and with lists in place of arrays."""
+    """Return a value with None in place of numbers that aren't finite, and with lists in place of arrays."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, dict):
@@ -76,7 +70,8 @@ def _finite(value: Any) -> Any:
 
 
 def digest_of(value: object) -> str:
-    """SHA-256 of a value of JSON's kinds, as hexadecimal text; numbers that aren't finite differ from None in it."""
+    """Return the SHA-256 of a value of JSON's kinds, as hexadecimal text; numbers that aren't finite differ from None
+    in it."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
@@ -88,7 +83,7 @@ def _require_file(path: Path) -> os.stat_result:
 
 
 def all_below(folder: Path) -> list[Path]:
-    """Files in a folder and below, sorted.
+    """Return files in a folder and below, sorted.
 
     Links to folders are not followed. A folder that can't be listed, or whose path is too long to be opened, is as if
     empty.

@@ -6,7 +6,7 @@ from typing import Any
 
 
 def exported(modules: Mapping[str, Sequence[str]]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """A package's `__getattr__`, `__dir__` and `__all__`.
+    """Return a package's `__getattr__`, `__dir__` and `__all__`.
 
     Args:
         modules: names by the module that defines them.

@@ -50,7 +50,7 @@ def open_session(model: str | bytes, threads: int, device: str) -> onnxruntime.I
 
 
 def opening_problem(error: Exception) -> str:
-    """Reason why a network can't be opened, and what to do, for a sentence that begins with its file."""
+    """Return the reason why a network can't be opened, and what to do, for a sentence that begins with its file."""
     if re.search(r"\bopset\b|\bIR version|model file format version", str(error), re.IGNORECASE):
         known = f"than onnxruntime {onnxruntime.__version__} reads"
         return f"has a newer opset or IR version {known}; export it with a lower opset_version, or update onnxruntime"
@@ -58,11 +58,13 @@ def opening_problem(error: Exception) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """First line of an error, short enough for a sentence, without ONNX Runtime's code and path at its beginning."""
+    """Return the first line of an error, short enough for a sentence, without ONNX Runtime's code and path at its
+    beginning."""
     line = (str(error).strip() or type(error).__name__).split("\n")[0]
     return re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : (Load model from .* failed:)?", "", line)[:200].rstrip(". ")
 
 
 def provider_of(session: onnxruntime.InferenceSession) -> str:
-    """Provider that really runs a network, one of `PROVIDERS`' names; what it can't do is left to the CPU."""
+    """Return the provider that really runs a network, one of `PROVIDERS`' names; what it can't do is left to the
+    CPU."""
     return session.get_providers()[0]

@@ -52,7 +52,7 @@ class Component:
     registry: Registry
     """Settings by name."""
     default: Callable[[Callable[[str], Any]], str]
-    """Returns the name that is chosen without that option; its argument gives the value of any other option."""
+    """Function that returns the name chosen without that option; its argument gives the value of any other option."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -75,7 +75,7 @@ class Parser(argparse.ArgumentParser):
         self.known: dict[str, Any] = {}
         """Defaults by field; ... where it is required."""
         self.others: Callable[[], dict[str, type[Any]]] = dict
-        """Returns settings that aren't chosen, by what chooses them."""
+        """Function that returns settings that aren't chosen, by what chooses them."""
         self.origin = ""
         """Prefix of errors: the file that options are read from."""
         self._own = dict(defaults or {})
@@ -225,8 +225,7 @@ def _chosen(
         value = getattr(first.parse_known_args(tokens)[0], action.dest)
         return content.get(name) if value is None else value
 
-    help_text = "YAML file of options; those on the command line count more"
-    parser.add_argument("--config", metavar="FILE", help=help_text)
+    parser.add_argument("--config", metavar="FILE", help="YAML file of options; those on the command line count more")
     parser.add_argument("--print_config", action="store_true", help="print all options as such a file, and stop")
     try:
         content |= _read(Path(path)) if (path := peek("config")) else {}
@@ -277,12 +276,12 @@ def field_texts(kind: type[Any]) -> dict[str, str]:
 
 
 def _title(kind: type[Any]) -> str:
-    """First line of a dataclass's documentation."""
+    """Return the first line of a dataclass's documentation."""
     return (kind.__doc__ or "").split("\n")[0].rstrip(".")
 
 
 def _help(text: str, hints: Mapping[str, Any], default: Any) -> str:
-    """Text of an option, with names that it takes, and its default."""
+    """Return the text of an option, with names that it takes, and its default."""
     if "names" in hints:
         text += f": {', '.join(hints['names']())}"
     if default is ... and not hints.get("positional"):
@@ -314,7 +313,8 @@ def _reading(kind: Any, hints: Mapping[str, Any], ends: tuple[float, float] = (-
 
 
 def _number(kind: type[Any], least: float, most: float) -> Callable[[str], Any]:
-    """Type of an option that takes numbers from `least` to `most`; raises ArgumentTypeError, as argparse wants it."""
+    """Return the type of an option that takes numbers from `least` to `most`; raises ArgumentTypeError, as argparse
+    wants it."""
 
     def read(text: str) -> Any:
         try:

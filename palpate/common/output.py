@@ -83,7 +83,8 @@ def require_own_folder(folder: Path) -> None:
 
 
 def _content(folder: Path) -> dict[str, str]:
-    """Hash of every file in a folder and below, by its relative name; empty for links, empty folders and the like."""
+    """Return the hash of every file in a folder and below, by its relative name; empty for links, empty folders and the
+    like."""
     content = {}
     for path in all_below(folder):
         name = path.relative_to(folder).as_posix()
@@ -98,17 +99,17 @@ def _content(folder: Path) -> dict[str, str]:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file is as its folder's list has it; one that has no entry, whatever its size, is not read."""
+    """Return whether a file is as its folder's list has it; one that has no entry, whatever its size, is not read."""
     return is_unchanged(path, _list_of(path.parent).get(path.name))
 
 
 def is_unchanged(path: Path, digests: object) -> bool:
-    """Whether a file has one of these hashes; without any, it is not read."""
+    """Return whether a file has one of these hashes; without any, it is not read."""
     return isinstance(digests, list) and any(digest in digests for digest in _digests(path))
 
 
 def _digests(path: Path) -> list[str]:
-    """Hash of a file; none where there is no file."""
+    """Return the hash of a file; none where there is no file."""
     return [file_sha256(path)] if path.is_file() else []
 
 
@@ -118,7 +119,7 @@ def _write_list(folder: Path, files: dict[str, list[str]]) -> None:
 
 
 def _list_of(folder: Path) -> dict[str, list[str]]:
-    """Files that this program wrote into a folder."""
+    """Return files that this program wrote into a folder."""
     path = folder / LIST
     if not os.path.lexists(path):
         return {}

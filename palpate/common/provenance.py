@@ -20,7 +20,7 @@ Part = Literal["all", "preparation", "kernels"]
 
 
 def _version() -> str:
-    """Version of the installed package; in a plain checkout, that of pyproject.toml."""
+    """Return the version of the installed package; in a plain checkout, that of pyproject.toml."""
     try:
         return version("palpate")
     except PackageNotFoundError:
@@ -33,7 +33,8 @@ __version__ = _version()
 
 @functools.cache
 def code_digest(part: Part = "all") -> str:
-    """Digest of every module, preset and built-in model that can change a result, sub-packages included, or of a part.
+    """Return the digest of every module, preset and built-in model that can change a result, sub-packages included, or
+    of a part.
 
     Args:
         part: preparation: what decides what a prepared clip holds. kernels: what is compiled.
@@ -49,7 +50,7 @@ def code_digest(part: Part = "all") -> str:
 
 
 def _belongs(name: str, part: Part) -> bool:
-    """Whether a source, by its path below ROOT, counts for a part."""
+    """Return whether a source, by its path below ROOT, counts for a part."""
     if part == "kernels":
         return name.startswith("physics/")
     if part == "preparation":

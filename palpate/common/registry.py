@@ -9,7 +9,7 @@ from typing import Any
 
 @functools.cache
 def _registered(find: Callable[..., Any], group: str) -> list[EntryPoint]:
-    """Entry points of a group; finding them takes as long as reading the names of all installed packages."""
+    """Return entry points of a group; finding them takes as long as reading the names of all installed packages."""
     return list(find(group=group))
 
 

@@ -4,19 +4,20 @@ import numpy as np
 
 
 def median_sd(values: np.ndarray) -> float:
-    """Standard deviation of most values, of those that are numbers, by the median of their sizes; 0 of none."""
+    """Return the standard deviation of most values, of those that are numbers, by the median of their sizes; 0 of
+    none."""
     found = values[np.isfinite(values)]
     # Standard deviation of a normal variable over the median of its absolute value.
     return 1.4826 * float(np.median(np.abs(found))) if found.size else 0.0
 
 
 def affine_terms(points: np.ndarray) -> np.ndarray:
-    """Terms of an affine function of place at points [N, 2], each of about unit size, shape [N, 3]."""
+    """Return terms of an affine function of place at points [N, 2], each of about unit size, shape [N, 3]."""
     return np.column_stack([(points - points.mean(axis=0)) / points.std(axis=0), np.ones(len(points))])
 
 
 def affine_motion(points: np.ndarray, motion: np.ndarray, used: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """The affine function of place that explains some motion by least squares, at other places, shape [M, A].
+    """Return the affine function of place that explains some motion by least squares, at other places, shape [M, A].
 
     Args:
         points: shape [N, 2].
@@ -29,7 +30,7 @@ def affine_motion(points: np.ndarray, motion: np.ndarray, used: np.ndarray, plac
 
 
 def trimmed_fit(terms: np.ndarray, values: np.ndarray, rounds: int, beyond: float) -> np.ndarray:
-    """Linear least squares that leave out what is far off, at all rows, shape [N].
+    """Fit linear least squares that leave out what is far off; return values at all rows, shape [N].
 
     Args:
         terms: shape [N, K].

@@ -24,26 +24,22 @@ shown = _short.repr
 """A value from a file for a sentence, which it leaves short however long, deep or circular the value is."""
 
 
-def sound(value: Any, levels: int = 16, most: int = 100_000) -> bool:
-    """Whether a value read from a file is of a reasonable size, with names in it that stand for others written out.
-
-    Args:
-        levels: of lists and mappings within each other.
-        most: values in one of these levels.
-    """
+def sound(value: Any) -> bool:
+    """Return whether a value read from a file is of a reasonable size, with repeated names written out. Lists and
+    mappings may nest 16 levels deep, with 100,000 values in a level."""
     row = [value]
-    for _ in range(levels):
+    for _ in range(16):
         if any(isinstance(each, (int, float)) and not abs(each) <= LARGEST for each in row):
             return False
         if any(isinstance(each, str) and "\0" in each for each in row):  # no name of a file
             return False
         held = (each.values() if isinstance(each, dict) else each for each in row if isinstance(each, (dict, list)))
-        row = list(itertools.islice(itertools.chain.from_iterable(held), most))
+        row = list(itertools.islice(itertools.chain.from_iterable(held), 100_000))
     return not row
 
 
 def fits(value: Any, kind: Any) -> bool:
-    """Whether a value read from JSON is of a kind.
+    """Return whether a value read from JSON is of a kind.
 
     Args:
         kind: an annotation (float takes whole numbers, but nothing that is not finite; tuple takes lists), a range of
@@ -72,7 +68,7 @@ def fits(value: Any, kind: Any) -> bool:
 
 
 def described(kind: Any) -> str:
-    """An annotation in words, for a sentence that asks for such a value."""
+    """Return an annotation in words, for a sentence that asks for such a value."""
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         return " or ".join(map(described, inner))
@@ -122,7 +118,7 @@ class Checked:
 
 @functools.cache
 def _constraints(kind: type[Any]) -> list[tuple[str, Any, Any]]:
-    """Names of a class's fields that are choices or limited numbers, their kinds, and ends of the latter."""
+    """Return names of a class's fields that are choices or limited numbers, their kinds, and ends of the latter."""
     plain, found = get_type_hints(kind), []
     for name, each in get_type_hints(kind, include_extras=True).items():
         parts = each, *get_args(each)

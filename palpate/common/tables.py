@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 
 def to_csv(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None, form: str = "") -> str:
-    """Rows as CSV; what doesn't exist, or is not a number, stays empty.
+    """Return rows as CSV; what doesn't exist, or is not a number, stays empty.
 
     Args:
         rows: cells by column.
@@ -16,13 +16,12 @@ def to_csv(rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None =
     text = io.StringIO()
     writer = csv.DictWriter(text, columns or list(rows[0]), restval="", lineterminator="\n")
     writer.writeheader()
-    for row in rows:
-        writer.writerow({key: to_cell(value, form) for key, value in row.items()})
+    writer.writerows({key: to_cell(value, form) for key, value in row.items()} for row in rows)
     return text.getvalue()
 
 
 def to_cell(value: object, form: str = "") -> str:
-    """A value as text: numbers as `format` takes them, empty where there is none."""
+    """Return a value as text: numbers as `format` takes them, empty where there is none."""
     if value is None or value != value:
         return ""
     return format(value, form) if isinstance(value, float) else str(value)

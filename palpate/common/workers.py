@@ -29,7 +29,7 @@ def run_tasks(
     ordered: bool = False,
     threads: int = 1,
 ) -> Iterator[Result]:
-    """Results of all tasks, in the order in which they are done.
+    """Yield results of all tasks, in the order in which they are done.
 
     Leaving the loop early, as Ctrl-C does, ends the workers at once.
 

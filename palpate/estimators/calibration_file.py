@@ -31,20 +31,20 @@ class CalibrationFile(Checked):
     force_N: Positive | None = None
     """A known force, its magnitude [N]."""
     force_sd_N: NotNegative = 0.0
-    """Its standard deviation [N]."""
+    """Standard deviation of the force [N]."""
     force_time_s: float | None = None
-    """When it acted: in the run of contact under way then, in the clip's time [s]."""
+    """Time at which the force acted, in the run of contact under way then [s, clip time]."""
     stiffness: Positive | None = None
     """Stiffness k_s of the tissue's sheet of springs, at all contacts [N/m]."""
     stiffness_sd: NotNegative = 0.0
-    """Its standard deviation [N/m]."""
+    """Standard deviation of the stiffness [N/m]."""
     palpation: str | None = None
     """calibration.json of `palpate calibrate`, next to this file: E, of which k_s is three quarters, times
     `thickness_m`."""
     thickness_m: Positive | None = None
     """Thickness of the sheet that the tissue's surface is [m]."""
     thickness_sd_m: NotNegative = 0.0
-    """Its standard deviation [m]."""
+    """Standard deviation of the thickness [m]."""
 
     def __post_init__(self) -> None:
         known = ("force_N", "stiffness", "palpation")
@@ -62,21 +62,21 @@ class CalibrationFile(Checked):
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What is known in newtons, read."""
+    """Force or stiffness that is known in newtons, as read from its file."""
 
     fields: CalibrationFile | None
-    """None where forces were measured in every clip."""
+    """Fields of the file; None = forces were measured in every clip."""
     path: Path
     files: tuple[Path, ...]
-    """It and those that it names."""
+    """The calibration's file, and files that it names."""
     measured: KnownForce | None = None
     """Measured forces; None before `of_clip` where bags hold them."""
     young: tuple[float, float] | None = None
-    """E of the palpations [Pa] and the standard deviation of its logarithm."""
+    """Young's modulus of the palpations [Pa], and the standard deviation of its logarithm."""
 
     @property
     def of_one_clip(self) -> bool:
-        """Whether the scale follows from a force that acted in one clip."""
+        """True if the scale follows from a force that acted in one clip."""
         return self.fields is not None and self.fields.force_N is not None
 
     def of_clip(self, clip: Path, pictures: str | None) -> "Calibration":
@@ -94,7 +94,7 @@ class Calibration:
         return replace(self, measured=KnownForce(*read_wrenches(clip, str(self.path), pictures)))
 
     def scale(self, runs: Sequence[force_scale.PressedRun], length: force_scale.ClipLength) -> force_scale.ForceScale:
-        """The scale of a clip from its own runs, or from the tissue's stiffness.
+        """Return the scale of a clip from its own runs, or from the tissue's stiffness.
 
         Raises:
             NoEstimate: why there is none.
@@ -102,8 +102,7 @@ class Calibration:
         if self.measured is not None:
             forces = force_scale.measured_presses(runs, self.measured)
             if not forces:
-                problem = "No results in newtons: in no run of contact with an estimate"
-                raise NoEstimate(f"{problem} {LEAST_KNOWN} or more forces are known.")
+                raise NoEstimate(f"No results in newtons: no estimated run of contact has {LEAST_KNOWN} known forces.")
             frames = ", ".join(str(frame) for frame, *_ in forces)
             return force_scale.scale_by_force(runs, forces, f"forces measured at frame {frames}")
         given = self.fields
@@ -112,8 +111,8 @@ class Calibration:
             at = np.array([given.force_time_s])
             here = [run for run in runs if run.pressing(at)[0]]
             if not here:
-                problem = f"No results in newtons: no press was estimated in contact at {given.force_time_s:g} s,"
-                raise NoEstimate(f"{problem} when the force is known.")
+                problem = f"no press was estimated at {given.force_time_s:g} s, when the force is known"
+                raise NoEstimate(f"No results in newtons: {problem}.")
             frame, log_sd = here[0].onset_frame, given.force_sd_N / given.force_N
             source = f"known force of {given.force_N:g} N at frame {frame}"
             return force_scale.scale_by_force(runs, [(frame, given.force_N, log_sd)], source)
@@ -121,8 +120,8 @@ class Calibration:
             source = f"known stiffness of {given.stiffness:g} N/m"
             log_sd = given.stiffness_sd / given.stiffness
             return force_scale.scale_by_stiffness(given.stiffness, log_sd, length, source)
-        if self.young is None or given.thickness_m is None:
-            raise NoEstimate("Nothing that the file holds tells newtons.")
+        assert self.young is not None
+        assert given.thickness_m is not None
         young, young_sd = self.young
         log_sd = float(np.hypot(young_sd, given.thickness_sd_m / given.thickness_m))
         source = f"palpation, E = {young:.4g} Pa, in a sheet of {1000 * given.thickness_m:g} mm"

@@ -8,7 +8,8 @@ from palpate.physics.mesh import Mesh, grid_mesh
 
 
 def view_across(cloud: np.ndarray, eye: np.ndarray, tip: np.ndarray) -> np.ndarray:
-    """Pose of a cloud's frame for who looks along its mean normal, shape [4, 4], the same in whatever frame it is.
+    """Return the pose of a cloud's frame for an eye along its mean normal, shape [4, 4], the same in whatever frame it
+    is.
 
     Args:
         cloud: shape [m, 3] [m].
@@ -50,10 +51,10 @@ class CloudShape:
         # One must be so near, by their usual distance.
         self._apart = max(4.0 * float(np.median(self._tree.query(cloud[:, :2], 2)[0][:, 1])), 1e-9)
         self.area = len(np.unique(np.floor(cloud[:, :2] / self._apart), axis=0)) * self._apart**2
-        """Across the line of sight [m²]."""
+        """Area of the cloud across the line of sight [m²]."""
 
     def heights(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Along z at places [..., 2] [m], shape [...] [m], and whether the cloud covers them, bool."""
+        """Return heights along z at places [..., 2] [m], shape [...] [m], and whether the cloud covers them, bool."""
         away, near = self._tree.query(places, self.neighbours)
         middle = self._cloud[near, :2].mean(axis=-2)
         # How far the middle of these is away, over their mean distance, where a place lies outside of the cloud.
@@ -62,7 +63,7 @@ class CloudShape:
         return heights, (away[..., 0] <= self._apart) & ~beside
 
     def mesh(self, wide: float) -> Mesh:
-        """A grid's triangles over what is covered, its places so far apart [m]."""
+        """Return a grid's triangles over what is covered, its places so far apart [m]."""
         low, high = self._tree.mins, self._tree.maxes
         counts = np.maximum(np.round((high - low) / wide), 1).astype(int) + 1
         # Area of a grid over that of the cloud on it.

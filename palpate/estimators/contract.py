@@ -1,4 +1,4 @@
-"""What every estimator is: opened once, it starts a session a clip, which holds all that belongs to the clip."""
+"""Contract of estimators: opened once, an estimator starts one session a clip, which holds everything of that clip."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
@@ -53,7 +53,7 @@ class Preparation:
 
     @property
     def clip_layout(self) -> ClipLayout:
-        """How the clips' files are named, with the camera and the topic that are chosen.
+        """Layout of the clips' files, with the chosen camera and topic.
 
         Raises:
             InputError: a file can't be used.
@@ -72,8 +72,8 @@ class Preparation:
         named |= {"threads": self.threads, "device": self.device}
         return {name: value for name, value in named.items() if value is not None}
 
-    def without_model(self, smoothing: float = SMOOTHING) -> PrepareSettings:
-        """Preparation for estimators without a trained model: smoothed depth, camera motion subtracted.
+    def without_model(self, smoothing: float) -> PrepareSettings:
+        """Return preparation for estimators without a trained model: smoothed depth, camera motion subtracted.
 
         Args:
             smoothing: width over which the resting shape is smoothed [grid px].
@@ -85,7 +85,7 @@ class Preparation:
 
 @dataclass(frozen=True)
 class ClipInfo:
-    """What a session must know of its clip before the first frame."""
+    """Facts about a clip that a session needs before the first frame."""
 
     fps: float
     """Frames a second."""
@@ -94,13 +94,14 @@ class ClipInfo:
     camera: Camera
     """Intrinsics of the full picture, free of distortion."""
     geometry: GeometrySettings
-    """How contacts are found."""
+    """Settings by which contacts are found."""
     bridge_frames: int
     """Contact that is missing on up to this many frames is still the same run."""
     force: KnownForce | None = None
     """Forces that are known, of whoever tells stiffness by them frame by frame."""
     metres: Callable[[], tuple[float, float] | None] | None = None
-    """Gives the length of a scene unit as it is known by now [m], and the standard deviation of its logarithm."""
+    """Function that returns the length of a scene unit as known so far [m], and the standard deviation of its
+    logarithm."""
 
     @classmethod
     def of(cls, clip: ClipStream) -> Self:
@@ -120,13 +121,13 @@ class Session(Protocol):
         """Time spent so far by stage [s]."""
 
     def push(self, frame: PreparedFrame) -> Iterable[Output]:
-        """The next frame; gives one `FrameEstimate` for each frame, in order and maybe late, and what has ended.
+        """Take the next frame; yield one `FrameEstimate` a frame, in order and maybe late, and runs that have ended.
 
         The frame counts once all that is given has been taken.
         """
 
     def finish(self) -> Iterable[Output]:
-        """What is left at the clip's end."""
+        """Yield what is left at the clip's end."""
 
 
 class Estimator(Protocol):
@@ -135,27 +136,29 @@ class Estimator(Protocol):
     name: str
     """Name in the registry."""
     settings: Any = None
-    """How it estimates, where a user chooses that."""
+    """Settings that a user chooses; None = there are none."""
+    smoothing: float = SMOOTHING
+    """Width over which the resting shape is smoothed, where no model tells [grid px]."""
     live: bool = False
-    """Whether it estimates while frames come."""
+    """True if it estimates while frames come."""
     tells_theta: bool = True
-    """Whether it estimates stiffness, damping and force of a press."""
+    """True if it estimates stiffness, damping and force of a press."""
     tells_intervals: bool = True
-    """Whether its numbers have intervals."""
+    """True if its numbers have intervals."""
     tells_field: bool = False
-    """Whether it estimates stiffness place by place, also in sequences beside a robot."""
+    """True if it estimates stiffness place by place, also in sequences beside a robot."""
     force_seconds: float | None = None
     """Time after the onset of contact up to which a frame's estimate constrains the force [s]; None = none does."""
 
     @property
     def described(self) -> dict[str, Any]:
-        """Its settings, JSON-able: with its model's file all that its numbers depend on."""
+        """Settings of the estimator as JSON: with its model's file, everything that its numbers depend on."""
         settings: Any = self.settings or self
         return {"name": self.name} | (asdict(settings) if is_dataclass(settings) else {})
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Preparation of frames for it."""
-        return chosen.without_model()
+        """Return the preparation of frames for this estimator."""
+        return chosen.without_model(self.smoothing)
 
     def start(self, clip: ClipInfo) -> Session:
         """Open a session."""

@@ -20,7 +20,7 @@ COMBINATIONS = {
 }
 """Products of powers, by their exponents: k_s, k_d, |F|, k_d/k_s [s], |F|/k_s [scene units], |F|/k_d."""
 REPORTED = tuple(name for name in COMBINATIONS if name != "force_over_damping")
-"""Those with numbers of their own; F/k_d follows from them, and only whether it is determined is said."""
+"""Combinations that are reported as numbers; F/k_d follows from them, and is only reported as determined or not."""
 SYMBOLS = dict(zip(COMBINATIONS, ("k_s", "k_d", "|F|", "k_d/k_s", "|F|/k_s", "|F|/k_d"), strict=True))
 
 
@@ -43,14 +43,14 @@ class PressNumbers:
 
 @dataclass(frozen=True)
 class PressCourse:
-    """How and when the instrument pressed, as far as that was fitted."""
+    """Course of a press: how and when the instrument pressed, as far as that was fitted."""
 
     delay_s: float | None = column("", None)
     """s from the onset frame to the beginning of the press, as fitted; empty: taken to be 0, or no estimate"""
     release_delay_s: float | None = column("", None)
     """s from the first frame after contact to the end of the press; empty: the same, or not observed"""
     at_end: bool = False
-    """Whether a delay lies at its range's end."""
+    """True if a delay lies at the end of its range."""
     shape: PressShape | None = None
     """Patch, direction and course of the press; None = taken to be a step on one vertex."""
     view_angle: float | None = None
@@ -65,7 +65,7 @@ class PressCourse:
 
 @dataclass(frozen=True)
 class LightFit:
-    """What a fit to the light of the tissue leaves."""
+    """Residual of a fit to the shading of the tissue."""
 
     left: float = np.nan
     """Share of the change of light that the model leaves, root mean square."""
@@ -94,9 +94,9 @@ class PressResult:
     explains the data. Not across it, where a measured normal that is off by a few degrees (8-bit depth) tells more than
     the tissue; so a sideways motion that the model can't explain is not determined."""
     largest_misfit: float = np.inf
-    """Beyond it the model does not explain the motion."""
+    """Largest misfit with which the model still explains the motion."""
     at_bound: np.ndarray = field(default_factory=lambda: np.zeros(3, bool))
-    """Whether a parameter lies at its range's end, shape [3], bool."""
+    """Mask of the parameters that lie at the end of their range, shape [3], bool."""
     expected_information: np.ndarray | None = None
     """Inverse of the expected Cramér–Rao bound, by which the verdict is given, shape [3, 3]; None = that of
     `covariance`. Not that at `theta`: where an estimate is badly known, so is the information at it."""
@@ -133,7 +133,7 @@ class PressResult:
 
     @property
     def explanation(self) -> str:
-        """What verdict and numbers alone don't say."""
+        """Explanation beside verdict and numbers: why nothing is determined, or what the estimate comes from."""
         if not self.explained:
             return "nothing is determined, because the model does not explain the motion"
         light = "by the shading of the tissue, for want of measured depth: lengths and forces are relative"
@@ -148,7 +148,7 @@ class PressResult:
 
     @property
     def explained(self) -> bool:
-        """Whether the model explains the motion."""
+        """True if the model explains the motion."""
         return not self.misfit > self.largest_misfit and not self.refuted
 
     def widened(self, added: np.ndarray) -> Self:
@@ -159,7 +159,7 @@ class PressResult:
         return replace(self, **own)
 
     def quantity(self, name: str) -> Quantity | None:
-        """One of the COMBINATIONS; None where it is a ratio to a parameter that is 0."""
+        """Return one of the COMBINATIONS; None where it is a ratio to a parameter that is 0."""
         row = np.array(COMBINATIONS[name])
         with np.errstate(divide="ignore", invalid="ignore"):
             value = float(np.prod(np.abs(self.theta) ** row))

@@ -1,16 +1,16 @@
 """Newtons for scene units: one scale from a known force or a known stiffness, and the errors that follow.
 
-The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force: in N per scene unit k_s is c·k_s, and F
-is c·F. A property that a clip's contacts share gives c in all of them: either the mass of a vertex, as in the simulator
-(Bini 2026, table 1), so that c is the same, or the tissue's stiffness, so that c·k_s is the same. Then log c = g + bᵀφ
-with one unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so covariances follow
-exactly.
+The simulator knows k_s, k_d and F up to one factor c, newtons a unit of force. In N per scene unit k_s is c·k_s, and F
+is c·F. A property that a clip's contacts share gives c in all of them. Either it is the mass of a vertex, as in the
+simulator (Bini 2026, table 1), so that c is the same. Or it is the tissue's stiffness, so that c·k_s is the same. Then
+log c = g + bᵀφ with one unknown g, and with b = 0 or b = (-1, 0, 0). All are logarithms with normal errors, so
+covariances follow exactly.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from palpate.physics.mechanics import PARAMETERS
 SHEET_FACTOR = 0.75
 """k_s over E·thickness: the stiffness of a sheet of the mesh's springs, averaged over directions. With two sides and a
 diagonal in every square its area modulus is k_s, its shear modulus k_s/2 and so its Young's modulus 4/3 k_s."""
-MASS, STIFFNESS = "mass", "stiffness"
-EXPONENTS = {MASS: np.zeros(3), STIFFNESS: np.array([-1.0, 0.0, 0.0])}
-"""b by the property that contacts share."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class ClipLength:
     log_sd: float = 0.0
     """Standard deviation of the logarithm of `metres`."""
     by: str = ""
-    """By what `metres` is known, or why it isn't where that is worth saying."""
+    """Source of `metres`, or the reason why it isn't known where that is worth saying."""
 
     @classmethod
     def of(cls, clip: ClipStream) -> "ClipLength":
@@ -85,7 +82,7 @@ class PressedRun:
     expected: np.ndarray | None
     """Covariance of φ by which the verdict is given, shape [3, 3]."""
     explained: bool
-    """Whether the model explains the motion."""
+    """True if the model explains the motion."""
 
     @classmethod
     def of(cls, run: InteractionEstimate) -> "PressedRun | None":
@@ -99,7 +96,7 @@ class PressedRun:
         return cls(run.onset_frame, run.onset_time_s, end, *known)
 
     def pressing(self, times: np.ndarray) -> np.ndarray:
-        """Whether the force acts at some times, shape as given, bool."""
+        """Return whether the force acts at some times, shape as given, bool."""
         return (times >= self.begin - 1e-9) & (times < self.end - 1e-9)
 
 
@@ -108,25 +105,25 @@ class ForceScale:
     """The scale that turns estimates of a clip into newtons."""
 
     log: float
-    """g: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
+    """Logarithm g of the scale: log c, or log of c·k_s [N per unit of force, or N per scene unit]."""
     variance: float
     """Variance of g."""
-    homogeneous: str
-    """The property that contacts share, MASS or STIFFNESS."""
+    homogeneous: Literal["mass", "stiffness"]
+    """Property that contacts share."""
     source: str
-    """Where the scale comes from, in words."""
+    """Source of the scale, in words."""
     used: dict[int, float]
     """Weight in g of every run of this clip that determined it, by the number of its first frame."""
 
     def of(self, run: PressedRun, length: ClipLength) -> "Physical":
-        """A run in physical units."""
-        to_physical = np.eye(3) + EXPONENTS[self.homogeneous]
-        metric = length.metres is not None
+        """Convert a run to physical units."""
+        known, metric = self.homogeneous == "stiffness", length.metres is not None
+        powers = np.array([-1.0 * known, 0.0, 0.0])  # b
+        to_physical = np.eye(3) + powers
         mean = to_physical @ run.logs + self.log
         if length.metres is not None:
             mean[:2] -= math.log(length.metres)
         # A known stiffness is per metre: what its contacts have per metre doesn't depend on a scene unit's length.
-        known = self.homogeneous == STIFFNESS
         length_error = np.array([known - metric, known - metric, known], np.float64) * length.log_sd
         weight = self.used.get(run.onset_frame, 0.0)
 
@@ -135,7 +132,7 @@ class ForceScale:
                 return None
             # Where this run determined g, g = … - weight·(F's row)·φ.
             # [0, 0, 1] picks log |F| from φ.
-            shared = -weight * to_physical @ own @ (np.array([0.0, 0.0, 1.0]) + EXPONENTS[self.homogeneous])
+            shared = -weight * to_physical @ own @ (np.array([0.0, 0.0, 1.0]) + powers)
             found = to_physical @ own @ to_physical.T + shared[:, None] + shared + self.variance
             return found + np.outer(length_error, length_error)
 
@@ -153,7 +150,7 @@ class Physical:
     expected: np.ndarray | None
     """Covariance of `logs` by which the verdict is given, shape [3, 3]."""
     metric: bool
-    """Whether stiffness and damping are per metre."""
+    """True if stiffness and damping are per metre."""
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -174,7 +171,7 @@ KnownPress = tuple[int, float, float]
 
 
 def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], source: str) -> ForceScale:
-    """Scale from forces that are known in some runs.
+    """Return the scale from forces that are known in some runs.
 
     Args:
         runs: the runs of a clip.
@@ -193,24 +190,22 @@ def scale_by_force(runs: Sequence[PressedRun], forces: list[KnownPress], source:
             continue
         if not run.explained:
             why = f"the model does not explain the motion of the run at frame {frame}, whose force is known"
-            continue
-        if run.expected is not None and not run.expected[2, 2] < LIMIT**2:
+        elif run.expected is not None and not run.expected[2, 2] < LIMIT**2:
             why = f"the estimated force of the run at frame {frame}, whose force is known, is not determined"
-            continue
-        own = 0.0 if run.covariance is None else float(run.covariance[2, 2])
-        found[frame] = math.log(force) - float(run.logs[2]), log_sd**2 + own
+        else:
+            own = 0.0 if run.covariance is None else float(run.covariance[2, 2])
+            found[frame] = math.log(force) - float(run.logs[2]), log_sd**2 + own
     if not found:
         raise NoEstimate(f"No results in newtons: {why}.")
-    precise = {frame: 1 / max(variance, 1e-12) for frame, (_, variance) in found.items()}
-    total = sum(precise.values())
-    weights = {frame: value / total for frame, value in precise.items()}
-    log = sum(weights[frame] * value for frame, (value, _) in found.items())
-    variance = sum(weights[frame] ** 2 * spread for frame, (_, spread) in found.items())
-    return ForceScale(log, variance, MASS, source, weights)
+    logs, variances = np.array([*found.values()]).T
+    weights = 1 / np.maximum(variances, 1e-12)
+    weights /= weights.sum()
+    used = dict(zip(found, weights.tolist(), strict=True))
+    return ForceScale(float(weights @ logs), float(weights**2 @ variances), "mass", source, used)
 
 
 def measured_presses(runs: Sequence[PressedRun], measured: KnownForce) -> list[KnownPress]:
-    """Forces of the runs that were measured, as `scale_by_force` takes them.
+    """Return forces of the runs that were measured, as `scale_by_force` takes them.
 
     The model's force is constant while it acts, so a run's force is the mean of the measurements in that time.
     """
@@ -224,7 +219,7 @@ def measured_presses(runs: Sequence[PressedRun], measured: KnownForce) -> list[K
 
 
 def scale_by_stiffness(value: float, log_sd: float, length: ClipLength, source: str) -> ForceScale:
-    """Scale from the stiffness k_s that the tissue has at all contacts.
+    """Return the scale from the stiffness k_s that the tissue has at all contacts.
 
     Args:
         value: k_s [N/m].
@@ -238,4 +233,4 @@ def scale_by_stiffness(value: float, log_sd: float, length: ClipLength, source: 
     if length.metres is None:
         problem = "No results in newtons: the stiffness is known in N/m, and the length of a scene unit isn't;"
         raise NoEstimate(f"{problem} give metres_per_depth in the camera file, or --shaft-diameter.")
-    return ForceScale(math.log(value * length.metres), log_sd**2, STIFFNESS, source, {})
+    return ForceScale(math.log(value * length.metres), log_sd**2, "stiffness", source, {})

@@ -43,7 +43,7 @@ class GanSettings(ModelSettings):
 
 
 class GanEstimator(ModelEstimator):
-    """Runs a trained parameter network over prepared clips.
+    """Estimator that runs a trained parameter network over prepared clips.
 
     Args:
         model: the exported network.
@@ -59,8 +59,8 @@ class GanEstimator(ModelEstimator):
     def __init__(self, model: ParameterModel) -> None:
         super().__init__(model)
         if (observation := model.metadata.get("observation", "final")) != "final":
-            problem = f"{model.path} was trained with observation {observation} and head parameters;"
-            raise ModelFileError(f"{problem} train it with observation final, or with head posterior.")
+            problem = f"was trained with observation {observation} and head parameters; train it with observation final"
+            raise ModelFileError(f"{model.path} {problem}, or with head posterior.")
 
     def start(self, clip: ClipInfo) -> "GanSession":
         """Open a session."""
@@ -76,7 +76,7 @@ class GanSession(RunSession):
         self.estimator = estimator
         self._window = FrameWindow(estimator.model.window)
         self._contacts = deque[tuple[bool, bool]](maxlen=estimator.model.window)
-        """For each frame of the window whether it was observed out of contact, and whether in contact."""
+        """Flags of each frame of the window: observed out of contact, and in contact."""
         self._held: tuple[PreparedFrame, np.ndarray | None] | None = None
         self._log_sum, self._count = np.zeros(3), 0
         """Sum of log |θ| over the frames in contact of the current run, and their number."""
@@ -136,6 +136,7 @@ class GanSession(RunSession):
 
 
 def _verdict(contacts: deque[tuple[bool, bool]]) -> str:
-    """The verdict on a window of consecutive frames: without the beginning of contact in it θ is undetermined."""
+    """Return the verdict on a window of consecutive frames: without the beginning of contact in it θ is
+    undetermined."""
     begins = any(out and touching for (out, _), (_, touching) in pairwise(contacts))
     return "onset_in_view" if begins else "undetermined"

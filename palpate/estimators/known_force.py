@@ -27,7 +27,8 @@ class KnownForce:
     """Measured forces, shape [K] [N]."""
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Force at some times, linear in between, not a number before the first and after the last, shape as given."""
+        """Return the force at some times, linear in between, not a number before the first and after the last, shape as
+        given."""
         return np.interp(times, self.times, self.force, left=np.nan, right=np.nan)
 
 
@@ -41,7 +42,7 @@ def read_forces(path: Path) -> KnownForce:
 
 
 def fit_factor(signal: np.ndarray, force: np.ndarray) -> tuple[float, float, float]:
-    """Force over a signal that is proportional to it, by least squares.
+    """Return the force over a signal that is proportional to it, by least squares.
 
     Residuals change slowly, so that the variance counts half of the frames.
 
@@ -59,7 +60,7 @@ def fit_factor(signal: np.ndarray, force: np.ndarray) -> tuple[float, float, flo
 
 
 def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Force in all frames and its standard deviation, shape [T] each [N], from its measurement in some.
+    """Return the force in all frames and its standard deviation, shape [T] each [N], from its measurement in some.
 
     Args:
         known: measured force, shape [T] [N]; not a number where nothing was measured.
@@ -71,8 +72,6 @@ def predict_force(known: np.ndarray, signal: np.ndarray, signal_sd: np.ndarray) 
     """
     some = np.isfinite(known)
     if some.sum() < LEAST_KNOWN or not signal[some].any():
-        problem = f"The force is known in {int(some.sum())} frames that move;"
-        raise NoEstimate(f"{problem} {LEAST_KNOWN} are needed for the other frames.")
+        raise NoEstimate(f"The force is known in {some.sum()} frames that move; {LEAST_KNOWN} are needed for others.")
     factor, variance, residual = fit_factor(signal[some], known[some])
-    sd = np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)
-    return factor * signal, sd
+    return factor * signal, np.sqrt(variance * signal**2 + residual**2 + (factor * signal_sd) ** 2)

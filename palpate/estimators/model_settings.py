@@ -66,12 +66,12 @@ class ModelEstimator(Estimator):
         self.model = model
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Preparation as in the model's training, with the user's choices."""
+        """Return preparation as in the model's training, with the user's choices."""
         return preparation_settings(self.model, chosen)
 
 
 def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSettings:
-    """How frames are prepared for a model: as in its training, with the user's choices.
+    """Return the preparation of frames for a model: as in its training, with the user's choices.
 
     Raises:
         ModelFileError: the metadata holds settings that this program does not know, or names a model file.
@@ -90,13 +90,9 @@ def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSe
         masks = "auto" if masks == "annotation" else masks
         _require_file(model, "masks", masks)
     settings: dict[str, Any] = {name: model.metadata[name] for name in NUMBERS if name in model.metadata}
-    settings |= {
-        "depth": replace(depth, **wanted),
-        "geometry": section(model, "geometry", GeometrySettings),
-        "masks": masks,
-        "classes": section(model, "classes", MaskClasses),
-        "layout": chosen.clip_layout,
-    }
+    settings |= {"depth": replace(depth, **wanted), "masks": masks, "layout": chosen.clip_layout}
+    settings["geometry"] = section(model, "geometry", GeometrySettings)
+    settings["classes"] = section(model, "classes", MaskClasses)
     prepare = section(model, "preparation", PrepareSettings, settings)
     size = (prepare.geometry.height, prepare.geometry.width)
     if size != model.input_size:
@@ -107,8 +103,7 @@ def preparation_settings(model: ExportedModel, chosen: Preparation) -> PrepareSe
 def _require_file(model: ExportedModel, option: str, name: str) -> None:
     """Raise a ModelFileError unless the model file that the metadata names, without its folder, exists here."""
     if name.endswith(".onnx") and not isfile(Path(name)):
-        problem = f"{model.path} was trained with {option} from {name};"
-        raise ModelFileError(f"{problem} give that file's path as --{option}.")
+        raise ModelFileError(f"{model.path} was trained with {option} from {name}; give that file as --{option}.")
 
 
 def check_sources(settings: PrepareSettings) -> None:
@@ -124,7 +119,7 @@ def check_sources(settings: PrepareSettings) -> None:
 
 
 def section(model: ExportedModel, name: str, kind: type[Settings], values: Mapping[str, Any] | None = None) -> Settings:
-    """One section of the model's metadata as its dataclass.
+    """Read a section of the model's metadata as its dataclass.
 
     Args:
         values: the fields to use instead of the section's own.

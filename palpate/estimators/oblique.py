@@ -1,9 +1,9 @@
 """Contacts pressed aslant to the line of sight: a dent may hide its own bottom, and its depth then looks too small.
 
-A point load's dent is about one grid cell (0.0027 scene units) wide and 0.01 to 0.06 deep. In a view from the side its
-near wall covers its bottom, so that the tracked contact is off by far more than the depth's noise. The motion alone
-doesn't always reveal that: softer, less deeply pressed tissue may explain it as well. `python -m benchmarks.recovery
---suite oblique` shows the effect on estimates.
+A point load's dent is about one grid cell (0.0027 scene units) wide and 0.01 to 0.06 deep. Seen from the side, its near
+wall covers its bottom. The tracked contact is then off by far more than the depth's noise. The motion alone doesn't
+always reveal that: softer, less deeply pressed tissue may explain it as well. `python -m benchmarks.recovery --suite
+oblique` shows the effect on estimates.
 """
 
 import numpy as np
@@ -13,42 +13,38 @@ from palpate.estimators.estimate import PressResult
 from palpate.physics.identifiability import box_information
 
 LARGEST_ANGLE = 5.0
-"""Presses at a larger angle to the line of sight are oblique [degrees]: there the bottom of a dent of 0.03 is a whole
-grid cell off. Of 36 validation clips tilted by up to 9 degrees, tracking was off by more than 2 σ in 28 of 29 above 4
-and in 4 of 7 below. Where tissue faces the camera, rounding to 8 bits turns the measured normal by more than this in
-about one clip of 200, by up to 6 degrees; noise of 0.004 by up to 2. (Development runs that no command repeats.)"""
+"""Angle to the line of sight beyond which a press is oblique [degrees]: there the bottom of a dent of 0.03 is a grid
+cell off. A smaller one warns of contacts whose normal is only off by the rounding of 8-bit depth."""
 HIDDEN_ERROR = 0.015
-"""Root mean square error of tracked contacts that are pressed at 4 to 28 degrees to the line of sight [scene units]:
-0.0152 by `python -m benchmarks.recovery --suite oblique --split validation --seed 4242 --clips 30 --output DIR`."""
-OBLIQUE = (
-    "The tissue is pressed at {:.0f}° to the line of sight, so its dent may hide its own bottom; intervals are widened."
-)
+"""Root mean square error of contacts pressed at 4 to 28 degrees to the line of sight, by suite `oblique` of
+`benchmarks.recovery` [scene units]."""
+OBLIQUE = "Tissue is pressed at {:.0f}° to the line of sight, so its dent may hide its bottom; intervals are inflated."
 
 
 def view_angle(contact: Interaction) -> float:
-    """Angle between a contact's direction, either way, and the camera's ray through it [degrees]."""
+    """Return the angle between a contact's direction, either way, and the camera's ray through it [degrees]."""
     ray, direction = (np.asarray(v, np.float64) for v in (contact.mesh.vertices[contact.vertex], contact.direction))
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(ray, direction)), np.abs(ray @ direction))))
 
 
 def is_oblique(estimate: PressResult) -> bool:
-    """Whether the estimate's contact is pressed so far from the line of sight that its dent may hide itself."""
+    """Return whether the contact is pressed so far from the line of sight that its dent may hide its own bottom."""
     angle = estimate.course.view_angle
     return angle is not None and angle > LARGEST_ANGLE
 
 
 def effective_misfit(estimate: PressResult) -> float:
-    """The estimate's misfit, or that of the expected hidden error of an oblique contact where it is larger."""
+    """Return the estimate's misfit, or that of the expected hidden error of an oblique contact where it is larger."""
     return max(estimate.misfit, HIDDEN_ERROR / estimate.noise) if is_oblique(estimate) else estimate.misfit
 
 
 def remark(estimate: PressResult) -> str:
-    """A sentence on an oblique contact, empty for any other."""
+    """Return a sentence on an oblique contact, empty for any other."""
     return OBLIQUE.format(estimate.course.view_angle) if is_oblique(estimate) else ""
 
 
 def widened(estimate: PressResult, misfit: float, box: np.ndarray) -> PressResult:
-    """The estimate and its verdict with the covariance of a noise `misfit` times as large, within the box, added.
+    """Add the covariance of a noise `misfit` times as large, within the box, to the estimate and its verdict.
 
     Args:
         misfit: in units of the estimate's noise.

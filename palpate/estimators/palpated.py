@@ -1,4 +1,4 @@
-"""Young's modulus as a palpation left it, and what moduli there are; apart, so that a plan need load nothing else."""
+"""Young's modulus as a palpation left it; a module of its own, so that a plan loads nothing else."""
 
 import math
 from pathlib import Path
@@ -8,12 +8,10 @@ from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, read_mapping
 from palpate.physics.identifiability import NINETY
 
-YOUNG = 1.0, 1e12
-"""What there is of Young's moduli [Pa]."""
-
 
 def palpated_young(path: Path) -> tuple[float, float]:
-    """E [Pa] and the standard deviation of its logarithm from calibration.json of `palpate calibrate`.
+    """Read Young's modulus [Pa] and the standard deviation of its logarithm from calibration.json of `palpate
+    calibrate`.
 
     Raises:
         InputError: the file tells neither.
@@ -23,7 +21,6 @@ def palpated_young(path: Path) -> tuple[float, float]:
         raise InputError(f"{printable(path)} says that nothing is determined; press harder and give that file.")
     names = ("young_pa", "young_low_pa", "young_high_pa")
     if not all(fits(values.get(name), float) and values[name] > 0 for name in names):
-        problem = f"{printable(path)} holds no E with an interval ({', '.join(names)});"
-        raise InputError(f"{problem} give calibration.json of palpate calibrate palpation.")
+        raise InputError(f"{printable(path)} holds no E with an interval; give calibration.json of palpate calibrate.")
     young, low, high = (float(values[name]) for name in names)
     return young, abs(math.log(high / low)) / (2 * NINETY)

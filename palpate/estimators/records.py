@@ -1,4 +1,4 @@
-"""What an estimator says of a frame, and of a whole run of contact."""
+"""Records of estimators: of a frame, and of a whole run of contact."""
 
 import math
 from dataclasses import dataclass
@@ -18,22 +18,23 @@ VERDICT = (
     "stiffness_ratios (only where tissue is stiffer, of --estimator online), undetermined; onset_in_view: the model "
     "doesn't say"
 )
-DETERMINED = "which parameters and ratios are determined, joined by ; (in fit.png: the curve of relative_force)"
-"""Columns of all tables."""
+DETERMINED = "parameters and ratios that are determined, joined by ; (in fit.png: the curve of relative_force)"
+"""Text of the column `determined` in all tables."""
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """Where and how an instrument touches in a frame; what does not exist is None, never 0."""
+    """Contact of an instrument in a frame; what does not exist is None, never 0."""
 
     contact_probability: float | None = column("", None)
-    """that tissue next to the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact to judge"""
+    """probability that tissue next to the tool moves with it or sinks under it; below 0.5 it hovers; empty: no contact
+    to judge"""
     contact_distance: float | None = column("scene units", None)
     """Distance between the nearest tool and tissue points."""
     contact_u: float | None = column("px of the source frame, column", None)
     contact_v: float | None = column("px of the source frame, row", None)
     instrument: int | None = column("", None)
-    """which instrument touches: numbered from left to right as first seen; empty: none"""
+    """instrument that touches, numbered from left to right as first seen; empty: none"""
     simulated_displacement: float | None = column("scene units", None)
     """Length of the simulated displacement of the contact vertex."""
     observed_displacement: float | None = column("scene units", None)
@@ -47,9 +48,9 @@ class RelativeForce:
     """Force of a pull in a frame."""
 
     relative_force: float = column()
-    """of a pull: force at the grip over its peak in this contact; empty: not known, or no pull"""
-    relative_force_low: float = column("lower end of its 90 % interval")
-    relative_force_high: float = column("upper end of its 90 % interval")
+    """force of a pull at the grip over its peak in this contact; empty: not known, or no pull"""
+    relative_force_low: float = column("lower end of the 90 % interval of relative_force")
+    relative_force_high: float = column("upper end of the 90 % interval of relative_force")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +78,8 @@ class FrameEstimate:
     pull: RelativeForce | None = group(RelativeForce, kw_only=True)
     detail: str = column("sentences about the status, or about what can't be trusted", "")
     alarm: str | None = column("", None, kw_only=True)
-    """of the force limit: above where the upper end of the force's 90 % interval has reached it, else below; unknown
-    where the force is not determined, or contact not decided: neither safe nor unsafe; empty: no contact"""
+    """state of the force limit: above where the upper end of the force's 90 % interval has reached it, else below;
+    unknown where the force is not determined, or contact not decided: neither safe nor unsafe; empty: no contact"""
 
     def __post_init__(self) -> None:
         if self.determined is None and self.estimate is not None:
@@ -97,7 +98,7 @@ class Onset:
 class Followed:
     """Columns of what was observed of a contact."""
 
-    instrument: int | None = column("which instrument touches: numbered from left to right as first seen")
+    instrument: int | None = column("instrument that touches, numbered from left to right as first seen")
     frames: int = column("frames after the onset in which its tissue was followed")
     load_s: float | None = column()
     """s from the onset to the release; empty: the onset or the release was not observed"""
@@ -108,12 +109,12 @@ class Outcome:
     """Columns of what was concluded of a contact."""
 
     skill: float = column()
-    """1 - error / motion, root mean squares: 0 as if the tissue kept still, 1 exact; of a pull, in frames that were not
-    fitted; of a press in those that were fitted, of the contact's motion along the force, by light of the tissue's
-    light; of --estimator online as in parameters.csv, of all frames"""
+    """skill, 1 - error / motion, root mean squares: 0 as if the tissue kept still, 1 exact; of a pull, in frames that
+    were not fitted; of a press in those that were fitted, of the contact's motion along the force, by light of the
+    tissue's light; of --estimator online as in parameters.csv, of all frames"""
     verdict: str = column(VERDICT)
     determined: str = column(DETERMINED)
-    explanation: str = column("why nothing is determined, or by what besides measured depth something is")
+    explanation: str = column("reason why nothing is determined, or source of the estimate other than measured depth")
     noise: float | None = column("standard deviation of every observed coordinate, scene units")
     misfit: float | None = column()
     """root mean square of observed minus simulated displacement along the force over the noise; 1: it fits"""
@@ -131,23 +132,23 @@ class InteractionEstimate:
     onset_frame: int
     """Number of that frame."""
     onset_time_s: float
-    """Its time stamp [s]."""
+    """Time stamp of that frame [s]."""
     load_s: float | None = None
     """Time from the onset to the release [s]; None where either was not observed."""
     interaction: Interaction | None = None
-    """What was observed; None where the tissue was not followed from an onset."""
+    """Observation of the run; None where the tissue was not followed from an onset."""
     estimate: PressResult | None = None
-    """Its parameters."""
+    """Parameters of the press."""
     simulated: tuple[np.ndarray, np.ndarray] | None = None
     """Times since the onset [s] and the simulated motion along the force then [scene units], shape [T] each."""
     mechanics: Mechanics | None = None
     """Constants of the sheet of springs that was simulated; None where it was another model."""
     grip: PullResult | None = None
-    """What the motion around tells, where nothing is determined by the contact's own."""
+    """Pull estimated from the motion around, where the contact's own motion determines nothing."""
     field: FieldResult | None = None
-    """What it tells of stiffness place by place, from the estimator that finds that."""
+    """Stiffness place by place, from the estimator that finds that."""
     detail: str = ""
-    """Why there is no estimate, or why it can't be trusted."""
+    """Reason why there is no estimate, or why it can't be trusted."""
     instrument: int | None = None
     """Number of the instrument that touches."""
     aside: tuple[float, float] = (0.0, 0.0)
@@ -168,12 +169,13 @@ class InteractionEstimate:
 
     @property
     def verdict(self) -> str:
-        """What is determined in a word; empty where nothing was estimated."""
+        """Verdict in a word; empty where nothing was estimated."""
         return "" if self.main_estimate is None else self.main_estimate.verdict
 
     @property
     def skill(self) -> float:
-        """1 - error / change, root mean squares: 0 as if the tissue kept still, 1 exact; not a number without either.
+        """Skill, 1 - error / change, root mean squares: 0 as if the tissue kept still, 1 exact; not a number without
+        either.
 
         Of a pull in frames that were not fitted; of a press in those that were: by light of how the tissue's light
         changes, else of the contact's motion along the force.
@@ -193,7 +195,7 @@ class InteractionEstimate:
 
     @property
     def rows(self) -> tuple[Any, ...]:
-        """What interactions.csv has of the contact, as in `CONTACTS`."""
+        """Columns of the contact in interactions.csv, as in `CONTACTS`."""
         found, press, contact = self.main_estimate, self.estimate, self.interaction
         stuck, fit = "", (None, None)
         if press is not None:
@@ -208,7 +210,7 @@ class InteractionEstimate:
         return *observed, *pressed, Outcome(self.skill, *conclusion, *fit, stuck, status, self.detail)
 
 
-FRAMES = Table.of(FrameEstimate)
+FRAMES = Table((FrameEstimate,))
 """parameters.csv, with the column of --force-limit last."""
-CONTACTS = Table.of(Onset, Followed, PressCourse, PressNumbers, Outcome)
+CONTACTS = Table((Onset, Followed, PressCourse, PressNumbers, Outcome))
 """interactions.csv."""

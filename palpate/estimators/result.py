@@ -1,6 +1,6 @@
 """Base of results: quantities with intervals, and dataclasses whose fields are columns of tables.
 
-A column is declared once, where its value is: `skill: float = column("1 - error / motion")` stands in every table of
+A column is declared once, where its value is. `skill: float = column("1 - error / motion")` stands in every table of
 that class, with this text in run.json.
 """
 
@@ -25,13 +25,13 @@ UNITS = {
     "time": "s",
     "distance_stiffness": "relative: a particle's mass over the square of a frame's time, not N/m; compares places "
     "within a run of contact, not clips",
-    "shape_stiffness": "likewise, not comparable with distance_stiffness",
+    "shape_stiffness": "relative, not comparable with distance_stiffness",
     "gap": "scene units",
 }
 """Units of the results."""
 LEAST_SKILL = 0.35
-"""Least skill of a fit to how tissue moves with an instrument that explains the motion: instruments that pass over
-tissue reach 0.1 to 0.3 with a whole mask, pulls 0.4 and more."""
+"""Least skill of a fit that explains how tissue moves with an instrument. Instruments that pass over tissue reach 0.1
+to 0.3, pulls 0.4 and more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Quantity:
         return self.value * np.exp(self.log_sd**2 / 2) * np.sqrt(np.expm1(self.log_sd**2))
 
     def end(self, side: int) -> Any:
-        """Lower (-1) or upper (1) end of the 90 % interval, or the value (0)."""
+        """Return the lower (-1) or upper (1) end of the 90 % interval, or the value (0)."""
         return self.value * np.exp(side * NINETY * self.log_sd)
 
     @property
@@ -61,11 +61,11 @@ class Quantity:
 
 
 class Result(Protocol):
-    """What an estimator determines of a contact; a dataclass whose columns join the tables."""
+    """Result of a contact; a dataclass whose columns join the tables."""
 
     @property
     def verdict(self) -> str:
-        """What is determined, in a word."""
+        """Verdict in a word."""
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -73,11 +73,12 @@ class Result(Protocol):
 
     @property
     def explanation(self) -> str:
-        """What verdict and numbers alone don't say, a sentence."""
+        """Explanation beside verdict and numbers, a sentence."""
 
 
 def column(text: str = "", default: Any = MISSING, **options: Any) -> Any:
-    """Field of a dataclass that is a column of its tables; it may hold a `Quantity`, which has a column for each part.
+    """Declare a field that is a column of its dataclass's tables; it may hold a `Quantity`, which has a column for each
+    part.
 
     Args:
         text: unit and meaning, as run.json has them; by default the documentation of the field.
@@ -88,12 +89,13 @@ def column(text: str = "", default: Any = MISSING, **options: Any) -> Any:
 
 
 def group(kind: type[Any], default: Any = None, **options: Any) -> Any:
-    """Field that holds a dataclass of this kind, or an object whose `numbers` is one: its columns stand here."""
+    """Declare a field that holds a dataclass of this kind, or an object whose `numbers` is one: its columns stand
+    here."""
     return field(default=default, metadata={"group": kind}, **options)
 
 
 def columns_of(kind: type[Any]) -> dict[str, str]:
-    """Columns of a dataclass, in order, each with what it is."""
+    """Return columns of a dataclass, in order, each with what it is."""
     found, texts, kinds = dict[str, str](), field_texts(kind), get_type_hints(kind)
     for item in fields(kind):
         if "group" in item.metadata:
@@ -109,7 +111,7 @@ def columns_of(kind: type[Any]) -> dict[str, str]:
 
 
 def values_of(row: Any) -> dict[str, Any]:
-    """Values of a dataclass by column; what isn't known is left out."""
+    """Return values of a dataclass by column; what isn't known is left out."""
     found: dict[str, Any] = {}
     for item in fields(row):
         value = getattr(row, item.name)
@@ -131,11 +133,6 @@ class Table:
     left_out: tuple[str, ...] = ()
     """Columns that it does not have."""
 
-    @classmethod
-    def of(cls, *kinds: type[Any]) -> Self:
-        """Table of all columns of these dataclasses."""
-        return cls(kinds)
-
     @cached_property
     def columns(self) -> dict[str, str]:
         """Columns in order, each with its unit and what it is."""
@@ -143,11 +140,11 @@ class Table:
         return {name: text for name, text in found.items() if name not in self.left_out}
 
     def without(self, *names: str) -> Self:
-        """Table without some columns."""
+        """Return the table without some columns."""
         return replace(self, left_out=names)
 
     def known(self, *rows: Any) -> dict[str, Any]:
-        """Values of a row, dataclasses or mappings, by column, without those that are missing."""
+        """Return values of a row, dataclasses or mappings, by column, without those that are missing."""
         values: dict[str, Any] = {}
         for row in rows:
             values |= row if isinstance(row, Mapping) else values_of(row)
@@ -155,7 +152,7 @@ class Table:
         return {name: value for name, value in found if value is not None and value == value and value != ""}
 
     def row(self, *rows: Any) -> list[str]:
-        """Cells of a row: texts on one line, numbers with the seven digits that float32 has, true as 1."""
+        """Return cells of a row: texts on one line, numbers with the seven digits that float32 has, true as 1."""
         known, found = self.known(*rows), []
         for name in self.columns:
             value, form = known.get(name), ".6f" if name.endswith("time_s") else ".7g"

@@ -15,8 +15,6 @@ from palpate.observations.kinds import OBSERVATIONS
 
 NO_ONSET = "The onset of the contact was not observed; without it the rest shape and the load's beginning are unknown."
 UNDECIDED = "Contact is not decided: the instrument hovered, and neither motion nor depth shows whether it touches."
-PASSED = "No contact: the instrument moves, and the tissue next to it does not move with it."
-NOT_FOLLOWED = "The tissue at the contact could not be followed after its onset."
 RECORDED = ("depth", "shading")
 """Observations that are recorded of every run where they can be."""
 
@@ -42,13 +40,14 @@ class Run:
         self.contact = math.nan
         """Largest probability of contact so far."""
         self.hovered = False
-        """Whether the tool was found to hover within the run or right after it."""
+        """True if the tool was found to hover within the run or right after it."""
         self.undecided = False
-        """Whether the run begins or goes on in a frame where contact is not decided."""
+        """True if contact is undecided in a frame of the run."""
         self.builder: InteractionBuilder | None = None
         """Builder of the interaction from its observations; None where the onset was not observed."""
         self.lit = rest_light is not None
-        """Whether its light is compared with that at rest; it may be a pull, then, as nothing else is measured."""
+        """True if the run's light is compared with that at rest; it may be a pull, then, as nothing else is
+        measured."""
         self.note(first)
         contact = first.geometry
         if contact is not None and first.track_start == frame.index:
@@ -65,7 +64,7 @@ class Run:
 
     @property
     def passed(self) -> bool:
-        """Whether the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
+        """True if the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
         return self.hovered and not self.undecided and not self.contact >= CERTAIN
 
     def add(self, current: PreparedFrame) -> None:
@@ -76,23 +75,23 @@ class Run:
             self.builder.add(current)
 
     def estimate(self, **results) -> InteractionEstimate:
-        """The run's record, with the results of an estimator as fields of `InteractionEstimate`."""
+        """Return the run's record, with the results of an estimator as fields of `InteractionEstimate`."""
         load = None if self.builder is None else self.builder.load_seconds
         return InteractionEstimate(self.index, self.number, self.time_s, load, **results, instrument=self.instrument)
 
     @property
     def unobserved(self) -> str:
-        """Why nothing can be estimated of a run without observations, or without contact."""
+        """Reason why nothing can be estimated of a run without observations, or without contact."""
         if self.passed:
-            return PASSED
+            return "No contact: the instrument moves, and the tissue next to it does not move with it."
         if self.builder is None:
             doubt = UNDECIDED if self.undecided and not self.contact >= CERTAIN else ""
             return f"{doubt} {self.detail or NO_ONSET}".strip()
-        return f"{self.detail} {NOT_FOLLOWED}".strip()
+        return f"{self.detail} The tissue at the contact could not be followed after its onset.".strip()
 
 
 class RunTracker:
-    """Follows a clip's runs of contact.
+    """Tracker of a clip's runs of contact.
 
     Args:
         clip: the clip.
@@ -128,8 +127,7 @@ class RunTracker:
             missing = frame.frame.index - run.last
             if run.builder is None and not frame.in_contact and missing <= self._clip.bridge_frames:
                 return None  # the gap may be flicker
-        rest = self._light if len(self._light) else None
-        what = self._clip, self._seconds, rest, self._observations
+        what = self._clip, self._seconds, self._light if len(self._light) else None, self._observations
         self.current = Run(frame, *what) if frame.in_contact else None
         return run
 

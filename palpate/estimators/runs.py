@@ -27,7 +27,6 @@ from palpate.estimators.run_tracker import RECORDED, UNDECIDED, Run, RunTracker
 from palpate.physics.mechanics import Bounds, Mechanics
 
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
-ELSEWHERE = "The dent lies {:.0f} px beside the detected contact; it is what is estimated."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 
@@ -42,7 +41,7 @@ class RunSession:
     """
 
     follows_all: ClassVar = False
-    """Whether the motion around the instrument is recorded of every run, not only where depth may tell nothing."""
+    """True if the motion around the instrument is recorded of every run, not only where depth may constrain nothing."""
 
     def __init__(
         self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, observations: Sequence[str] = RECORDED
@@ -53,9 +52,9 @@ class RunSession:
         self.lit_mechanics = MECHANICS.matched(1 / clip.fps)
         """Mechanics of estimates by light."""
         self.by_light = False
-        """Whether a press is estimated by the light of the tissue, where it is known."""
+        """True if a press is estimated by the light of the tissue, where it is known."""
         self.needs_light = False
-        """Whether that light is looked at although depth is measured."""
+        """True if that light is looked at although depth is measured."""
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
         self.fitter: Executor | None = None
@@ -128,7 +127,8 @@ class RunSession:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
                     contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
-                doubts = f"{ELSEWHERE.format(math.hypot(*aside)) if any(aside) else ''} {found.refuted}".strip()
+                beside = f"The dent lies {math.hypot(*aside):.0f} px beside the detected contact, and is estimated."
+                doubts = f"{beside if any(aside) else ''} {found.refuted}".strip()
             else:
                 found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:
@@ -139,13 +139,14 @@ class RunSession:
         return run.estimate(**results, detail=detail)
 
     def _aside(self, contact: Interaction) -> tuple[float, float]:
-        """Way from the detected contact to its dent (u, v) [px of the source frame]."""
+        """Return the way from the detected contact to its dent (u, v) [px of the source frame]."""
         rows, columns = (0, 0) if contact.shading is None else contact.shading.aside
         (height, width), size = contact.mesh.grid_shape, self.clip.size
         return columns / width * size[0], rows / height * size[1]
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
-        """The record of a run with the estimate of its grip; failures are reported if that is the `only` estimate."""
+        """Return the record of a run with the estimate of its grip; failures are reported if that is the `only`
+        estimate."""
         found, sentence = None, ""
         try:
             with self.timed("grip"):
@@ -154,14 +155,13 @@ class RunSession:
             sentence = str(reason) if only else ""
         if found is not None and not found.explained:
             elsewhere = f", gripped elsewhere {found.rival:.2f}" if math.isfinite(found.rival) else ""
-            why = f"skill {found.skill:.2f}{elsewhere}"
-            sentence = f"A sheet gripped by the instrument doesn't explain the motion ({why})."
+            sentence = f"A gripped sheet doesn't explain the motion (skill {found.skill:.2f}{elsewhere})."
         elif found is not None and not found.determined:
             sentence = "A gripped sheet explains the motion, but the force over time is too uncertain."
         return dataclasses.replace(record, grip=found, detail=f"{record.detail} {sentence}".strip())
 
     def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:
-        """The estimate of a whole contact, the simulated motion as an `InteractionEstimate` has it, and doubts.
+        """Return the estimate of a whole contact, the simulated motion as an `InteractionEstimate` has it, and doubts.
 
         Raises:
             NoEstimate: the contact can't be estimated.
@@ -180,7 +180,7 @@ def frame_estimate(
     whole: bool = False,
     arrow: np.ndarray | None = None,
 ) -> FrameEstimate:
-    """The record of a frame; without an estimate it holds the status and the contact only.
+    """Return the record of a frame; without an estimate it holds the status and the contact only.
 
     Args:
         prepared: the frame.
@@ -215,14 +215,15 @@ def frame_estimate(
 
 
 def finite(number: float) -> float | None:
-    """A number; None where it is not finite."""
+    """Return a number; None where it is not finite."""
     return float(number) if math.isfinite(number) else None
 
 
 def force_arrow(
     theta: np.ndarray, contact: FrameGeometry, clip: ClipInfo, bounds: Bounds, direction: np.ndarray
 ) -> np.ndarray | None:
-    """Tail and tip (u, v), shape [2, 2] [px], of the drawn force: it ends at the contact, its length grows with |F|."""
+    """Return the tail and tip (u, v), shape [2, 2] [px], of the drawn force: it ends at the contact, its length grows
+    with |F|."""
     largest, camera = max(abs(value) for value in bounds.force), clip.camera
     tip = contact.tissue_point.astype(np.float64)
     # Length of the drawn arrow of the largest admissible force, as a share of the contact point's depth.

@@ -1,4 +1,4 @@
-"""Runs an estimator's session over a clip: the one way in which frames become estimates."""
+"""Iteration of an estimator's session over a clip: the one way in which frames become estimates."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -12,7 +12,7 @@ Framed = tuple[Output, PreparedFrame | None]
 
 
 def estimates_of(session: Session, frames: Iterable[PreparedFrame]) -> Iterator[Output]:
-    """Estimates of a clip's frames, gaps included, and runs of contact, as they are ready.
+    """Return estimates of a clip's frames, gaps included, and runs of contact, as they are ready.
 
     Args:
         session: started for this clip.

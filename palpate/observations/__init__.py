@@ -1,4 +1,4 @@
-"""What is observed of a run of contact: how it is recorded, whitened, linearised, and what networks are given of it.
+"""Observations of a run of contact: recorded, whitened, linearised, and turned into inputs of networks.
 
 base       Observation, and JointLikelihood: one motion against several; kinds: observations by name
 point      the followed contact

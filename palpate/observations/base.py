@@ -1,4 +1,4 @@
-"""What an observation is, and the likelihood of one motion under several of them."""
+"""Base of observations, and the likelihood of one motion under several of them."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ class Observation:
     """
 
     times: np.ndarray
-    """Since the onset, shape [N] [s]."""
+    """Times since the onset, shape [N] [s]."""
     vertices: np.ndarray
-    """Whose motion is needed, shape [V]."""
+    """Vertices whose motion is needed, shape [V]."""
     nuisance: Sequence[Parameter] = ()
     quick = False
-    """Whether `look` needs neither derivatives nor double precision."""
+    """True if `look` needs neither derivatives nor double precision."""
 
     def __init__(self, contact: Interaction) -> None:
         self.contact = contact
@@ -126,9 +126,8 @@ class JointLikelihood(LeastSquares):
     """
 
     def __init__(self, observations: Sequence[Any], motion_of: Callable[[np.ndarray, np.ndarray], Any]) -> None:
-        vertices, times = (
-            np.unique(np.concatenate([getattr(each, name) for each in observations])) for name in ("vertices", "times")
-        )
+        vertices = np.unique(np.concatenate([each.vertices for each in observations]))
+        times = np.unique(np.concatenate([each.times for each in observations]))
         self.observations, self.motion = tuple(observations), motion_of(vertices, times)
         self._places = [
             np.ix_(np.searchsorted(times, each.times), np.searchsorted(vertices, each.vertices))
@@ -145,25 +144,25 @@ class JointLikelihood(LeastSquares):
         return self.observations[0]
 
     def press(self, logs: np.ndarray) -> np.ndarray:
-        """Parameters of the motion alone, shape [D]."""
+        """Return parameters of the motion alone, shape [D]."""
         return logs[: len(logs) - len(self._nuisance)]
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
-        """Lower and upper ends of all parameters [2, D + E], from those of φ [2, 3]."""
+        """Return the lower and upper ends of all parameters [2, D + E], from those of φ [2, 3]."""
         own = [(max(each.mean - each.reach, each.least), each.mean + each.reach) for each in self._nuisance]
         return np.hstack([self.motion.box(tissue), np.array(own).reshape(-1, 2).T])
 
     def started(self, press: np.ndarray) -> np.ndarray:
-        """All parameters from those of the motion, the others as in their priors."""
+        """Return all parameters from those of the motion, the others as in their priors."""
         return np.append(press, [each.mean for each in self._nuisance])
 
     def misfit(self, logs: np.ndarray) -> float:
-        """Largest misfit of the observations."""
+        """Return the largest misfit of the observations."""
         moved = self._moved(logs)[0] + self.offset
         return max(each.misfit(moved[place], logs[own]) for each, place, own in self._each(logs))
 
     def _each(self, logs: np.ndarray) -> Iterator[tuple[Any, Any, np.ndarray]]:
-        """Every observation, its instants and vertices among all, and the places of its parameters."""
+        """Yield every observation, its instants and vertices among all, and the places of its parameters."""
         count = first = len(self.press(logs))
         for each, place in zip(self.observations, self._places, strict=True):
             own = np.arange(first, first + len(each.nuisance))
@@ -188,7 +187,7 @@ class JointLikelihood(LeastSquares):
         self._known = None
 
     def _moved(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The motion of some parameters and its derivatives; the last ones are remembered."""
+        """Return the motion of some parameters and its derivatives; the last ones are remembered."""
         press, last = self.press(logs), self._last
         if last is None or not np.array_equal(press, last[0]):
             last = self._last = np.array(press), self.motion.at(press)

@@ -1,10 +1,9 @@
 """Presses on a block of tissue, simulated once, cached for that block, and generalised by a Gaussian kernel.
 
-Frank 2010, section VII: segments through an object at evenly spread places and directions, their costs for fine
-lengths, and between them the kernel smoother of equation 4, over place and direction; along the length linear. A block
-is the same seen from behind, and in a mirror where it is held in the same way left and right, so that half or a quarter
-of the presses tell all. The file's name is a digest of all that the costs depend on: another scene with the same block
-finds it.
+Segments lead through an object at evenly spread places and directions (Frank 2010, section VII). Between them costs
+follow from the kernel smoother of equation 4 over place and direction, and along the length they are linear. A block is
+the same seen from behind, and mirrored if held alike left and right, so half or a quarter of the presses suffice. The
+file's name is a digest of all that the costs depend on: another scene with the same block finds it.
 """
 
 import functools
@@ -28,12 +27,12 @@ ANGLES = np.radians(np.arange(-60.0, 61.0, 15.0))
 """Angles from a face's inward normal."""
 LENGTHS = 41
 WIDTH = 0.5
-"""h of equation 4, over the spacing of places and of angles."""
+"""Kernel width h of equation 4, over the spacing of places and of angles."""
 
 
 @dataclass(frozen=True, eq=False)
 class CostTable:
-    """K presses of L lengths on a block."""
+    """Presses on a block, K of them of L lengths."""
 
     places: np.ndarray
     """Places where it is touched, in the block's frame, y ≤ 0, shape [K, 2] [m]."""
@@ -47,7 +46,7 @@ class CostTable:
     """Spacing of the places [m]."""
 
     def cost(self, places: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Work of other presses, shape [M] [J].
+        """Return the work of other presses, shape [M] [J].
 
         Args:
             places: in the block's frame, shape [M, 2] [m].
@@ -71,7 +70,7 @@ def mirrored(places: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def grid_of(kind: SoftObject) -> tuple[np.ndarray, np.ndarray]:
-    """Places [K, 2] and angles [K] of a block's presses: on its front, and on its two ends."""
+    """Return places [K, 2] and angles [K] of a block's presses: on its front, and on its two ends."""
     width, thickness = kind.size[:2]
     front = [[x, -thickness / 2] for x in np.linspace(-width / 2, width / 2, PLACES)]
     ends = [([-width / 2, 0.0], 0.0), ([width / 2, 0.0], np.pi)]
@@ -88,7 +87,7 @@ def representatives(kind: SoftObject, places: np.ndarray, angles: np.ndarray) ->
 
 
 def _images(kind: SoftObject, place: np.ndarray, angle: float) -> list[tuple[np.ndarray, float]]:
-    """A press and those that cost the same on a block: seen from behind, and mirrored left to right."""
+    """Return a press and its equivalents on a block: seen from behind, and mirrored left to right."""
     found = [(place, angle), (place * [1, -1], -angle)]
     if ("left" in kind.held) == ("right" in kind.held):
         found += [(there * [-1, 1], np.pi - way) for there, way in found]
@@ -110,7 +109,7 @@ def digest(kind: SoftObject, radius: float) -> str:
 def open_table(
     kind: SoftObject, radius: float, cache: Path, report: Callable[[int, int], None] = lambda done, of: None
 ) -> tuple[CostTable, int]:
-    """A block's table from the cache, or simulated and kept there; and how many presses were simulated.
+    """Return a block's table from the cache, or simulated and kept there; and how many presses were simulated.
 
     Args:
         kind: the block.
@@ -138,7 +137,7 @@ def open_table(
 
 
 def kept(path: Path, made: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any], bool]:
-    """Arrays of a file and whether it was there; otherwise they are made, and kept in it.
+    """Return arrays of a file and whether it was there; otherwise they are made, and kept in it.
 
     Raises:
         ForeignFile: a file that is damaged or not this program's lies there.
@@ -158,7 +157,7 @@ def kept(path: Path, made: Callable[[], dict[str, Any]]) -> tuple[dict[str, Any]
 def open_tables(
     scene: PlanScene, cache: Path, report: Callable[[str, int, int], None] = lambda kind, done, of: None
 ) -> dict[str, CostTable]:
-    """Tables of a scene's kinds of tissue by name, from the cache or simulated and kept there.
+    """Return tables of a scene's kinds of tissue by name, from the cache or simulated and kept there.
 
     Args:
         scene: what is to be planned.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def draw_plan(scene: PlanScene, ways: Mapping[str, Plan]) -> Figure:
-    """A figure of the plane with both ways: what was found, planned, and the shortest."""
+    """Draw the plane with tissue and both ways, the planned one and the shortest."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle, Polygon
 

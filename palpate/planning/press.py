@@ -1,8 +1,8 @@
 """Cost of pushing an instrument's tip into a block of tissue along a straight line, simulated.
 
-The tip's force is spread over a patch of its radius and grows in steps until the patch has gone as far as asked, or
-until 20 N (Frank 2010, section V); the work is the deformation's cost. Where no equilibrium is found any more, the
-force goes on along its last straight piece.
+The tip's force is spread over a patch of its radius and grows in steps until the patch has gone far enough, or until 20
+N (Frank 2010, section V). The work is the deformation's cost. Where no equilibrium is found any more, the force goes on
+along its last straight piece.
 """
 
 from __future__ import annotations
@@ -37,13 +37,14 @@ class PressCurve:
     """Shape [S] [J]."""
 
     def work_at(self, lengths: np.ndarray) -> np.ndarray:
-        """Work of presses so long [m], shape as given [J]; beyond the end no more is done."""
+        """Return the work of presses so long [m], shape as given [J]; beyond the end no more is done."""
         return np.interp(lengths, self.lengths, self.work)
 
 
 @lru_cache(maxsize=8)
 def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:
-    """A block's skin, fine enough for a patch of that radius, in its own frame, and what of it is held [N, 3]."""
+    """Return a block's skin, fine enough for a patch of that radius, in its own frame, and what of it is held [N,
+    3]."""
     from palpate.estimators.palpation.skin import cover  # takes a second, and cached presses need none of it
     from palpate.physics.fem import box, make_solid
 
@@ -53,8 +54,7 @@ def blocked_out(kind: SoftObject, radius: float) -> tuple[Skin, np.ndarray]:
     body = make_solid(nodes - shift, tetrahedra, order=2)
     fine = [max(1, int(np.ceil(side / (radius / 2)))) for side in kind.size]
     outer, inner = box(kind.size, (fine[0], fine[1], fine[2]))
-    faces = make_solid(outer, inner).faces
-    used, which = np.unique(faces, return_inverse=True)
+    used, which = np.unique(make_solid(outer, inner).faces, return_inverse=True)
     skin = cover(body, outer[used] - shift, which.reshape(-1, 3))
     ends = {"bottom": (2, 0.0), "top": (2, height), "left": (0, -width / 2), "right": (0, width / 2)}
     held = np.zeros(len(body.rest), bool)

@@ -1,9 +1,9 @@
 """Forces and costs of an instrument that presses a body in space.
 
-The tip is a ball, the shaft a row of balls to the port, one radius apart, each bearing half of what a tip would. A ball
-bears what its depth in the resting body tells by a press on a large block, simulated once for E = 1 and scaled: forces
-and work are linear in E. Contact slides without friction: work is the rise of the energy that the presses store, and
-of an edge half of all rises and falls, so that it costs the same both ways.
+The tip is a ball, the shaft a row of balls to the port, one radius apart, each bearing half of what a tip would. A
+ball's force follows from its depth in the resting body by a press on a large block. That is simulated once for E = 1
+and scaled: forces and work are linear in E. Contact slides without friction, so work is the rise of the stored energy.
+Of an edge it is half of all rises and falls, so that it costs the same both ways.
 """
 
 from dataclasses import replace
@@ -22,13 +22,10 @@ RADIUS = 0.01
 """Radius of the tip that presses the block [m]."""
 BLOCK = SoftObject((0.1, 0.12, 0.12), 1000.0, held=("right", "top", "bottom"), longest=4 * RADIUS, cells=(4, 4, 4))
 """Four radii are the deepest press that is known; deeper ones count as too much force."""
-SHAPE_SD, WORK_SD = 0.45, 0.56
-"""Standard deviations of the logarithm of forces, and of work: how far bodies of other shapes are from the block
-(docs/forces.md)."""
 
 
 def unit_press(poisson: float) -> np.ndarray:
-    """A tip's press by a radius of 1 m and E = 1 Pa: depth [m], force [N] and work [J], shape [3, S]."""
+    """Return a tip's press by a radius of 1 m and E = 1 Pa: depth [m], force [N] and work [J], shape [3, S]."""
     found = simulate_press(replace(BLOCK, poisson=poisson), RADIUS, np.array([-BLOCK.size[0] / 2, 0.0]), 0.0)
     # So many that the energy, which is interpolated as the force is, is off by little.
     depth = np.linspace(0, found.lengths[-1], 81) / RADIUS
@@ -49,7 +46,8 @@ class PressingCosts:
         self.start, self.goal, self.port = (np.array(place) for place in (scene.start, scene.goal, scene.port))
         self.corners = known["low"] + known["step"] * np.array([[0, 0, 0], np.array(known["values"].shape) - 1])
         """Corners of the grid, shape [2, 3] [m]."""
-        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [SHAPE_SD, WORK_SD])).tolist()
+        # Standard deviations of the logarithm of force and work, of bodies of other shapes than the block.
+        self.spread, self.work_spread = np.exp(NINETY * np.hypot(scene.young_log_sd, [0.45, 0.56])).tolist()
         """Factors from a force, and from work, to the upper end of its 90 % interval."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
@@ -59,7 +57,8 @@ class PressingCosts:
         return ndimage.map_coordinates(self.known["values"], cells.T, order=1, mode="nearest").astype(float)
 
     def loads(self, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force [N], infinite where it is not known, and stored energy [J] with the tip at places [M, 3], shapes [M].
+        """Return the force [N], infinite where it is not known, and stored energy [J] with the tip at places [M, 3],
+        shapes [M].
 
         Both are for E = 1 Pa.
         """
@@ -84,7 +83,8 @@ class PressingCosts:
         return force, energy
 
     def along(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places [M, 3] [m] on lines [K, 3] → [K, 3], ends included, and which of them is each line's first, [K]."""
+        """Return places [M, 3] [m] on lines [K, 3] → [K, 3], ends included, and which of them is each line's first,
+        [K]."""
         # Distance of places along an edge, over the radius.
         counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / (0.25 * self.radius)).astype(int) + 2
         begin = np.cumsum(counts) - counts
@@ -93,7 +93,8 @@ class PressingCosts:
         return starts[line] + share[:, None] * (ends - starts)[line], begin
 
     def edges(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Work along lines [K, 3] → [K, 3] and the largest force, for E = 1 Pa, shapes [K] [J] and [K] [N]."""
+        """Return the work along lines [K, 3] → [K, 3] and the largest force, for E = 1 Pa, shapes [K] [J] and [K]
+        [N]."""
         tips, begin = self.along(starts, ends)
         force, energy = self.loads(tips)
         changes = np.abs(np.diff(energy, prepend=0.0))
@@ -108,17 +109,18 @@ class PressingCosts:
         return np.where(over, np.inf, np.round(MILLI * self.scene.young * work, DIGITS))
 
     def price(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Costs of lines [K, 3] → [K, 3], of those that cost the same the shorter a little less, shape [K]."""
+        """Return costs of lines [K, 3] → [K, 3], shape [K]; of lines that cost the same the shorter costs a little
+        less."""
         way = MILLI * np.linalg.norm(ends - starts, axis=1)
         return weighed(self.scene.alpha, self.deformation(*self.edges(starts, ends)), way) + TIE * way
 
     def plan(self, places: np.ndarray) -> Plan:
-        """Cost of a way, its places [P, 3] given."""
+        """Return the cost of a way, its places [P, 3] given."""
         begun, ended = MILLI * self.scene.young * self.loads(places[[0, -1]])[1]
         deformation = self.deformation(*self.edges(places[:-1], places[1:])).sum() + (ended - begun) / 2
         return Plan.of(places, float(deformation), self.scene.alpha)
 
     def interval(self, plan: Plan) -> tuple[float, float]:
-        """The 90 % interval of a way's cost; its deformation is log-normal."""
+        """Return the 90 % interval of a way's cost; its deformation is log-normal."""
         share, spread = self.scene.alpha * plan.deformation, self.work_spread
         return plan.cost - share * (1 - 1 / spread), plan.cost + share * (spread - 1)

@@ -1,9 +1,9 @@
 """A probabilistic road map over places of the tip, and the cheapest way through it.
 
-Kavraki 1996 and Dijkstra 1959, with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. Of ways that
-cost the same the shorter is taken, since at α = 1 all that touch nothing cost 0: the search adds a minute part of the
-way to the cost, and whole ways are compared by the pair of cost and way. Afterwards places are left out as long as that
-lowers this price.
+It is Kavraki 1996 and Dijkstra 1959, with the cost of Frank 2010's equation 5, α·deformation + (1 - α)·way. At α = 1
+all ways that touch nothing cost 0, so ties are broken by length. The search adds a minute part of the way to the cost,
+and whole ways are compared by the pair of cost and way. Afterwards places are left out as long as that lowers this
+price.
 """
 
 from collections.abc import Callable, Mapping
@@ -45,7 +45,7 @@ class Plan:
 
     @classmethod
     def of(cls, places: np.ndarray, deformation: float, alpha: float) -> "Plan":
-        """A way's, by its places [P, 2] or [P, 3] [m] and its deformation [mJ]."""
+        """Return the plan of a way, by its places [P, 2] or [P, 3] [m] and its deformation [mJ]."""
         way = float(MILLI * np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
         return cls(places, deformation, way, float(weighed(alpha, np.array(deformation), np.array(way))))
 
@@ -62,7 +62,7 @@ class EdgeCosts:
         self.scene, self.tables = scene, tables
 
     def deformation(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Work on tissue along lines [K, 2] → [K, 2], infinite through obstacles, shape [K] [mJ].
+        """Return the work on tissue along lines [K, 2] → [K, 2], infinite through obstacles, shape [K] [mJ].
 
         A line that leaves the tissue behind it has pushed it as far as it goes.
         """
@@ -85,22 +85,21 @@ class EdgeCosts:
         return total
 
     def plan(self, places: np.ndarray) -> Plan:
-        """Cost of a way, its places [P, 2] given."""
+        """Return the cost of a way, its places [P, 2] given."""
         return Plan.of(places, float(self.deformation(places[:-1], places[1:]).sum()), self.scene.alpha)
 
 
 def weighed(alpha: float, deformation: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Equation 5, infinite through obstacles also where α is 0."""
+    """Return the cost of equation 5, infinite through obstacles also where α is 0."""
     open_ways = np.isfinite(deformation)
     return np.where(open_ways, alpha * np.where(open_ways, deformation, 0) + (1 - alpha) * way, np.inf)
 
 
-def find_plan(costs: EdgeCosts, nodes: int = 300) -> Plan:
-    """The cheapest way found, of equally cheap ones the shortest.
+def find_plan(costs: EdgeCosts) -> Plan:
+    """Find the cheapest way, of equally cheap ones the shortest.
 
     Args:
         costs: of the scene's lines.
-        nodes: of the road map, each with lines to the ten nearest.
 
     Raises:
         Blocked: start or goal lie in tissue or an obstacle or outside, or no line leads there.
@@ -118,8 +117,9 @@ def find_plan(costs: EdgeCosts, nodes: int = 300) -> Plan:
     for name, place in zip(("start", "goal"), ends, strict=True):
         if not is_free(place[None])[0]:
             raise Blocked(f"the {name} {place.tolist()} is blocked: the tip would touch something there; move it.")
-    drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (4 * nodes, 2))
-    places = np.concatenate([ends, drawn[is_free(drawn)][:nodes]])
+    # 300 places, each with lines to the ten nearest.
+    drawn = np.random.default_rng(0).uniform(scene.area[0], scene.area[1], (1200, 2))
+    places = np.concatenate([ends, drawn[is_free(drawn)][:300]])
     pairs = np.unique(np.concatenate([neighbours(places, 10), [[0, 1]]]), axis=0)
     plan = cheapest_way(costs, places, pairs, costs.deformation(*places[pairs.T]))
     if plan is None:
@@ -128,14 +128,14 @@ def find_plan(costs: EdgeCosts, nodes: int = 300) -> Plan:
 
 
 def neighbours(places: np.ndarray, count: int) -> np.ndarray:
-    """Pairs of places of which one is among the other's nearest, each pair once, shape [E, 2]."""
+    """Return pairs of places of which one is among the other's nearest, each pair once, shape [E, 2]."""
     near = KDTree(places).query(places, k=min(count + 1, len(places)))[1][:, 1:]
     pairs = np.stack([np.repeat(np.arange(len(places)), near.shape[1]), near.ravel()], axis=1)
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
 def cheapest_way(costs: Any, places: np.ndarray, pairs: np.ndarray, deformation: np.ndarray) -> Plan | None:
-    """The cheapest way from the first place to the second along lines, `shortened`; None = there is none.
+    """Return the cheapest way from the first place to the second along lines, `shortened`; None = there is none.
 
     Args:
         costs: of the scene, with its `plan` of a way's places.
@@ -149,7 +149,7 @@ def cheapest_way(costs: Any, places: np.ndarray, pairs: np.ndarray, deformation:
 
 
 def cheapest_chain(count: int, one: np.ndarray, two: np.ndarray, cost: np.ndarray, way: np.ndarray) -> list[int] | None:
-    """The cheapest chain of nodes from 0 to 1, of equally cheap ones the shortest; None = there is no way.
+    """Return the cheapest chain of nodes from 0 to 1, of equally cheap ones the shortest; None = there is no way.
 
     Args:
         count: of nodes.
@@ -166,7 +166,7 @@ def cheapest_chain(count: int, one: np.ndarray, two: np.ndarray, cost: np.ndarra
 
 
 def shortened(plan_of: Callable[[np.ndarray], Plan], places: np.ndarray) -> Plan:
-    """The way with places left out where that lowers the price."""
+    """Return the way with places left out where that lowers the price."""
     found = plan_of(places)
     while len(found.places) > 2:
         others = [plan_of(np.delete(found.places, i, axis=0)) for i in range(1, len(found.places) - 1)]

@@ -15,9 +15,8 @@ import numpy as np
 from palpate.common.settings import Checked, NotNegative, Positive
 from palpate.data.source.images import printable
 from palpate.data.source.layout import InputError, from_mapping, read_mapping
-from palpate.estimators.palpated import YOUNG, palpated_young
+from palpate.estimators.palpated import palpated_young
 
-Side = Literal["bottom", "top", "left", "right"]
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
@@ -32,10 +31,10 @@ class SoftObject(Checked):
 
     size: tuple[float, float, float]
     """Width, thickness and height [m]."""
-    young: Annotated[float, *YOUNG]
-    """E [Pa]."""
+    young: Annotated[float, 1.0, 1e12]
+    """Young's modulus E [Pa]."""
     poisson: Annotated[float, 0, 0.499] = 0.45
-    held: tuple[Side, ...] = ("top",)
+    held: tuple[Literal["bottom", "top", "left", "right"], ...] = ("top",)
     """Sides that don't move."""
     longest: Annotated[float, 1e-15, 0.1] = 0.04
     """Distance over which tissue is pushed along until it lets the tip by [m], 10 cm at most."""
@@ -82,20 +81,21 @@ class Placed:
         return np.array(self.size) / 2
 
     def inside_frame(self, points: np.ndarray) -> np.ndarray:
-        """Points of the plane [..., 2] in the block's frame."""
+        """Return points of the plane [..., 2] in the block's frame."""
         return (points - self.centre) @ self._axes
 
     def outside_frame(self, points: np.ndarray) -> np.ndarray:
-        """The other way round."""
+        """Return points of the block's frame [..., 2] in the plane."""
         return points @ self._axes.T + self.centre
 
     def clearance(self, points: np.ndarray) -> np.ndarray:
-        """Distance of points [..., 2] of the plane from the block, negative within, shape [...] [m]."""
+        """Return the distance of points [..., 2] of the plane from the block, negative within, shape [...] [m]."""
         beyond = np.abs(self.inside_frame(points)) - self.half
         return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
 
     def met(self, starts: np.ndarray, ends: np.ndarray, radius: float, close: float = 1e-5) -> np.ndarray:
-        """Distance that a disc goes on straight lines until it touches, shape [K] [m]; infinite where it never does.
+        """Return the distance that a disc goes on straight lines until it touches, shape [K] [m]; infinite where it
+        never does.
 
         Steps of the distance that is left (sphere tracing, Hart 1996).
 
@@ -191,7 +191,7 @@ class SpaceScene(Checked):
     limit_N: Positive
     """Limit of the force on the instrument: the upper end of its interval keeps below it all along the path."""
     young: Positive
-    """E [Pa]."""
+    """Young's modulus E [Pa]."""
     young_log_sd: NotNegative = 0.0
     """Standard deviation of its logarithm."""
     unit: Literal["m", "cm", "mm"] = "m"

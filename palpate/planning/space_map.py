@@ -19,12 +19,13 @@ from palpate.planning.roadmap import Blocked, Plan, cheapest_way, neighbours, sh
 from palpate.planning.scene import SpaceScene
 from palpate.planning.surface import measure
 
-NODES, NEIGHBOURS, JOINED = 3000, 12, 40
-"""Places, lines from each, and lines from start and from goal."""
+JOINED = 40
+"""Number of lines from start and from goal."""
 
 
 def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
-    """A scene's costs with its road map, and whether that was found in the folder; otherwise it is made and kept.
+    """Return a scene's costs with its road map, and whether that was found in the folder; otherwise it is made and
+    kept.
 
     Raises:
         InputError: the mesh can't be used, or start, goal or port lie far from it.
@@ -35,8 +36,7 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
     fields = scene.unit, scene.port, scene.tip_radius, scene.poisson
     version = 2  # of what is in a file
     key = digest_of([version, code_digest("kernels"), file_sha256(Path(scene.mesh)), fields])
-    path = cache / f"space-{key[:16]}.npz"
-    known, found = kept(path, lambda: _made(scene))
+    known, found = kept(cache / f"space-{key[:16]}.npz", lambda: _made(scene))
     costs = PressingCosts(scene, known)
     for name in ("start", "goal", "port"):
         place = getattr(costs, name)
@@ -53,7 +53,7 @@ def open_costs(scene: SpaceScene, cache: Path) -> tuple[PressingCosts, bool]:
 
 
 def plan_in_space(costs: PressingCosts) -> Plan:
-    """The cheapest way found.
+    """Find the cheapest way.
 
     Raises:
         Blocked: no way keeps below the limit.
@@ -72,7 +72,7 @@ def plan_in_space(costs: PressingCosts) -> Plan:
 
 
 def _moved(costs: PressingCosts, places: np.ndarray) -> np.ndarray:
-    """A way of places [P, 3], each of its lines halved, with places moved to where that lowers the cost."""
+    """Return a way of places [P, 3] with each line halved, and with places moved to where that lowers the cost."""
     draws = np.random.default_rng(0)
     halved = np.linspace(0, len(places) - 1, 2 * len(places) - 1)
     way = np.stack([np.interp(halved, np.arange(len(places)), each) for each in places.T], axis=1)
@@ -88,13 +88,14 @@ def _moved(costs: PressingCosts, places: np.ndarray) -> np.ndarray:
 
 
 def _made(scene: SpaceScene) -> dict[str, Any]:
-    """Content of the file: the arguments of costs, places [N, 3] [m], pairs of them [E, 2] and their `edges` [2, E]."""
+    """Return the content of the file: the arguments of costs, places [N, 3] [m], pairs of them [E, 2] and their `edges`
+    [2, E]."""
     known = measure(Path(scene.mesh), scene.unit, scene.tip_radius) | {"press": unit_press(scene.poisson)}
     costs = PressingCosts(scene, known)
-    around = 8 * scene.tip_radius * np.array([[-1.0], [1.0]])
-    drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * NODES, 3))
-    places = drawn[np.isfinite(costs.loads(drawn)[0])][:NODES]
+    around, count = 8 * scene.tip_radius * np.array([[-1.0], [1.0]]), 3000
+    drawn = np.random.default_rng(0).uniform(*(costs.corners + around), (4 * count, 3))
+    places = drawn[np.isfinite(costs.loads(drawn)[0])][:count]
     if len(places) < JOINED:
         raise Blocked(f"from port {list(scene.port)} the shaft comes out of the tissue nowhere; move it out.")
-    pairs = neighbours(places, NEIGHBOURS)
+    pairs = neighbours(places, 12)
     return known | {"places": places, "pairs": pairs, "edges": costs.edges(*places[pairs.T])}

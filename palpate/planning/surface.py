@@ -14,7 +14,7 @@ from palpate.data.source.layout import InputError
 
 
 def _read(path: Path, unit: str) -> Any:
-    """A mesh of trimesh, in metres; raises as `measure`."""
+    """Read a mesh of trimesh, in metres; raises as `measure`."""
     import trimesh
 
     try:
@@ -24,8 +24,7 @@ def _read(path: Path, unit: str) -> Any:
         mesh.update_faces(mesh.unique_faces() & mesh.nondegenerate_faces())
         size = float(mesh.extents.max())
     except Exception as error:  # each format's reader raises its own
-        problem = "is no mesh of triangles; save the body's surface as PLY, STL or OBJ."
-        raise InputError(f"{printable(path)} {problem}") from error
+        raise InputError(f"{printable(path)} is no mesh of triangles; save it as PLY, STL or OBJ.") from error
     units = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
     # Longest sides of bodies, 2 mm to 2 m.
     likely = [each for each, metres in units.items() if 2e-3 <= size * metres <= 2.0]
@@ -36,13 +35,13 @@ def _read(path: Path, unit: str) -> Any:
 
 
 def measure(path: Path, unit: str, radius: float) -> dict[str, Any]:
-    """Signed distances from a closed surface on a grid that goes on two radii of the tip beyond its box.
+    """Measure signed distances from a closed surface on a grid that goes on two radii of the tip beyond its box.
 
-    The body is all that the outside can't reach, so that triangles within it, of hollows and of bodies that overlap,
-    don't count, and the way that triangles face only where it is thinner than a few steps. Close to the surface
-    distances are those from the nearest triangle's plane, of second order in the step. What lies behind openings
-    narrower than four steps counts as body. An instrument pushes tissue before it and doesn't pierce it: in the middle
-    between two sides that face away from each other, and half a radius around, distances are -1000 m.
+    The body is all that the outside can't reach, so triangles within it, of hollows and overlapping bodies, don't
+    count. The way that triangles face counts only where the body is thinner than a few steps. Close to the surface
+    distances are those from the nearest triangle's plane, of second order in the step. Openings narrower than four
+    steps count as closed. An instrument pushes tissue before it and doesn't pierce it. So distances are -1000 m in the
+    middle between two sides that face away from each other, and half a radius around.
 
     Args:
         path: of the surface, whose lengths are in `unit`.

@@ -10,7 +10,7 @@ COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "expected_forc
 
 
 def waypoints(costs: PressingCosts, plan: Plan) -> np.ndarray:
-    """Rows of `COLUMNS` along a way at constant speed, shape [W, 11].
+    """Return rows of `COLUMNS` along a way at constant speed, shape [W, 11].
 
     Poses are the tip's, its z axis along the shaft away from the port. It is turned there the shortest way, at the
     start from the frame's and then from the start's, so that poses change little by little; low and high are the
@@ -29,7 +29,7 @@ def waypoints(costs: PressingCosts, plan: Plan) -> np.ndarray:
 
 
 def _shortest(one: np.ndarray, others: np.ndarray) -> Rotation:
-    """The shortest turns from one unit vector [3] to others [W, 3]."""
+    """Return the shortest turns from one unit vector [3] to others [W, 3]."""
     half = np.column_stack([np.cross(one, others), 1 + others @ one])
     half[half[:, 3] < 1e-9] = [*np.cross(one, np.roll(one, 1) + np.array([0.0, 0.0, 1e-3])), 0.0]  # to the opposite
     return Rotation.from_quat(half)

@@ -10,7 +10,7 @@ alarm     whether the force has reached a limit (--force-limit)
 calibrated  a clip in newtons (--force-scale)
 record    run.json: hashes, versions, settings, warnings
 verdicts  what verdicts and statuses mean, what to do, their colours
-overlay   a frame with what was found drawn on it; field_overlay: stiffness on it
+overlay   a frame with what was found drawn on it
 page      the same in a browser
 paper     tables and figures of `train.py test`
 """

@@ -17,13 +17,11 @@ from palpate.estimators.records import FrameEstimate
 from palpate.estimators.result import Quantity
 
 BELOW, ABOVE, UNKNOWN = "below", "above", "unknown"
-NO_CONTACT = "no_contact"
-"""Name in run.json of frames without any; their state is empty."""
 
 
 @dataclass
 class ForceAlarm:
-    """Takes the frames of a clip in order and says of each whether the force is above a limit.
+    """Alarm that takes the frames of a clip in order and tests whether the force is above a limit.
 
     A crossing that is missed costs (1 - raised)/raised times what a false alarm does, where `raised` is chosen well.
 
@@ -50,7 +48,7 @@ class ForceAlarm:
         self.end_run()
 
     def end_run(self) -> None:
-        """The run of contact has ended; the next frame in contact is the onset of another."""
+        """Forget the run of contact, which has ended; the next frame in contact is the onset of another."""
         self._onset, self._above = np.nan, False
 
     def watch(
@@ -65,7 +63,7 @@ class ForceAlarm:
         return None if force is None else float(ndtr(math.log(abs(force.value) / self.limit) / force.log_sd))
 
     def push(self, time_s: float, contact: bool | None, probability: float | None) -> str:
-        """The state of the next frame: BELOW, ABOVE or UNKNOWN, and empty where nothing touches the tissue.
+        """Return the state of the next frame: BELOW, ABOVE or UNKNOWN, and empty where nothing touches the tissue.
 
         An alarm outlasts frames whose force is unknown within its run of contact.
 
@@ -81,22 +79,20 @@ class ForceAlarm:
             above = probability >= (self.cleared if self._above else self.raised)
             self.alarms += above and not self._above
             self._above, state = above, ABOVE if above else BELOW if probability < self.cleared else UNKNOWN
-        self.frames[state or NO_CONTACT] += 1
+        self.frames[state or "no_contact"] += 1
         return state
 
     def record(self) -> dict[str, Any]:
-        """Entry of run.json: the limit, the number of alarms, and the number of frames of each state."""
-        frames = {state: self.frames[state] for state in (NO_CONTACT, BELOW, ABOVE, UNKNOWN)}
+        """Return the entry of run.json: the limit, the number of alarms, and the number of frames of each state."""
+        frames = {state: self.frames[state] for state in ("no_contact", BELOW, ABOVE, UNKNOWN)}
         given = {"limit": self.limit, "unit": self.unit, "raised": self.raised, "cleared": self.cleared}
         return given | {"alarms": self.alarms, "frames": frames}
 
     def sentence(self) -> str:
         """Return the alarms in words."""
-        return (
-            f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times; it is unknown, neither "
-            f"safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames; research software, not a "
-            "medical device"
-        )
+        reached = f"the force reached the limit {self.limit:g} in {self.unit}: {self.alarms} times"
+        unknown = f"unknown, neither safe nor unsafe, in {self.frames[UNKNOWN]} of {self.frames.total()} frames"
+        return f"{reached}; it is {unknown}; research software, not a medical device"
 
 
 def known_force(found: PressResult) -> Quantity | None:

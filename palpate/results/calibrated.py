@@ -28,17 +28,17 @@ class Newtons:
     damping_unit: str = column(UNIT, "")
     force: Quantity | None = column("|F| in force_unit", None)
     force_unit: str = column(UNIT, "")
-    determined: str = column("which of them are determined, joined by ;", "")
-    detail: str = column("why there are no numbers", "")
+    determined: str = column("parameters that are determined, joined by ;", "")
+    detail: str = column("reason why there are no numbers", "")
 
 
-CALIBRATED = Table.of(Onset, Newtons)
+CALIBRATED = Table((Onset, Newtons))
 """calibrated.csv."""
 
 
 @dataclass
 class ClipCalibration:
-    """Gathers what a clip tells, and says it in newtons.
+    """Newtons of a clip, gathered run by run.
 
     Args:
         calibration: what is known of this clip.
@@ -78,7 +78,7 @@ class ClipCalibration:
         return force + np.outer([*ENDS.values()], NINETY * sd)
 
     def conclude(self, length: ClipLength) -> None:
-        """Say all in newtons, after the last run of contact."""
+        """Convert all into newtons, after the last run of contact."""
         self.length = length
         pressed = [run for *_, run in self._runs if run is not None]
         try:
@@ -110,13 +110,13 @@ class ClipCalibration:
         except NoEstimate:
             return None
         known = np.log(np.abs(found.theta)), found.covariance, covariance(found.verdict_information), True
-        physical = None if scale is None else scale.of(PressedRun(-1, math.nan, math.nan, *known), self.length)
-        if physical is None or physical.log_sd is None or "force" not in physical.determined:
+        physical = scale.of(PressedRun(-1, math.nan, math.nan, *known), self.length)
+        if physical.log_sd is None or "force" not in physical.determined:
             return None
         return Quantity(math.exp(physical.logs[2]), physical.log_sd[2])
 
     def record(self) -> dict[str, Any]:
-        """Entry of run.json: where newtons come from."""
+        """Return the entry of run.json on the source of newtons."""
         found: dict[str, Any] = {"files": [str(path.resolve()) for path in self.calibration.files]}
         if self.scale is not None:
             kept = {name: getattr(self.scale, name) for name in ("variance", "homogeneous", "source")}
@@ -127,7 +127,7 @@ class ClipCalibration:
 
 
 def physical_values(physical: Physical, source: str, metres: str = "") -> dict[str, Any]:
-    """Numbers of a run by column of CALIBRATED; uncertainties that nobody knows are missing.
+    """Return numbers of a run by column of CALIBRATED; unknown uncertainties are missing.
 
     Args:
         physical: the run.

@@ -26,7 +26,7 @@ class Inference:
     output: Path = option(metavar="DIR")
     """folder of the results, one folder a clip"""
     estimator: str | None = option(None, choices=lambda: [*ESTIMATORS.entries])
-    """what estimates (default: what --model is for, else network)"""
+    """estimator (default: what --model is for, else network)"""
     jobs: Annotated[int, 1, MOST_THREADS] = option(1, metavar="N")
     """clips at once, each in a process of its own with its share of the threads"""
     overwrite: bool = False
@@ -43,16 +43,16 @@ class Forces:
     """Physical units."""
 
     force_scale: Path | None = option(None, metavar="FILE|TOPIC", needs=("tells_theta", "a force"))
-    """what is known in newtons: a table of forces (.csv, columns time_s, force_N), the topic of forces in bags
-    (geometry_msgs/WrenchStamped), or a YAML file of a force, a stiffness or a palpation (docs/forces.md). Gives k_s,
-    k_d and F in physical units (calibrated.csv), the force of contacts over time (forces.json)"""
+    """source of newtons: a table of forces (.csv, columns time_s, force_N), the topic of forces in bags
+    (geometry_msgs/WrenchStamped), or a YAML file (docs/forces.md). Gives k_s, k_d and F in physical units
+    (calibrated.csv), and the force of contacts over time (forces.json)"""
     shaft_diameter: Annotated[float, 1, 30] | None = option(None, metavar="MM")
     """diameter of an instrument's shaft in view, such as 5 or 8: gives a scene unit's length where depth has no metres.
     forces.json then has F/k_s in mm, and with --force-scale calibrated.csv has N/m; all else stays in scene units
     (docs/metric.md)"""
     force_limit: Positive | None = option(None, metavar="X", needs=FRAME_FORCE)
-    """limit of the force in the unit of the column force, of infer in newtons with --force-scale: whether it is
-    above in every frame, by its interval (docs/forces.md). Research software, not a medical device"""
+    """limit of the force in the unit of the column force, in newtons with --force-scale. Every frame states whether the
+    force is above it, by its interval (docs/forces.md). Research software, not a medical device"""
     alarm_at: Annotated[float, 0.5, 0.999] | None = option(None, metavar="P", needs=FRAME_FORCE)
     """probability that the force is above --force-limit from which on there is an alarm, which ends below 0.5 (default:
     0.9); a lower one misses less and warns more often for nothing (docs/forces.md)"""
@@ -74,18 +74,13 @@ class Extras:
 
 KINDS = (Inference, Preparation, Forces, Extras)
 """Groups of options, in the order of the help."""
-SETTINGS: dict[str, str] = {
-    field.metadata["setting"]: flag_of(name)
-    for name, field in Preparation.__dataclass_fields__.items()
-    if "setting" in field.metadata
-}
-"""Options by the names that messages of other modules give them."""
 
 
 def in_options(text: str) -> str:
-    """Return a sentence that calls settings by the options that they are here."""
-    for setting, flag in SETTINGS.items():
-        text = text.replace(setting, flag)
+    """Return a sentence of another module that calls settings by the options that they are here."""
+    for name, field in Preparation.__dataclass_fields__.items():
+        if "setting" in field.metadata:
+            text = text.replace(field.metadata["setting"], flag_of(name))
     return text
 
 

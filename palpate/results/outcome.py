@@ -36,17 +36,17 @@ class Outcome:
 
     @classmethod
     def of(cls, name: str, state: str, folder: Path) -> Self:
-        """Outcome of a clip with results in a folder."""
+        """Return the outcome of a clip with results in a folder."""
         return cls(name, state, str(folder), counts_of(read_record(folder)), _contacts(folder))
 
 
 def wording(error: Exception) -> str:
-    """An error's message in this program's words."""
+    """Return an error's message in this program's words."""
     return in_options(str(error)) or type(error).__name__
 
 
 def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
-    """Counts of a clip for the closing table: runs of contact by verdict, then frames by verdict or status."""
+    """Return counts of a clip for the closing table: runs of contact by verdict, then frames by verdict or status."""
     contacts = {f"{plural(count, 'contact')} {name}": count for name, count in record.get("contacts", {}).items()}
     frames = {name: count for name, count in record.get("statuses", {}).items() if name != "ok"}
     verdicts = record.get("verdicts", {})
@@ -56,12 +56,13 @@ def counts_of(record: Mapping[str, Any]) -> dict[str, int]:
 
 
 def plural(count: int, noun: str) -> str:
-    """The noun, in the plural unless the count is one."""
+    """Return the noun, in the plural unless the count is one."""
     return noun if count == 1 else f"{noun}s"
 
 
 def _contacts(folder: Path) -> list[tuple[str, ...]]:
-    """Lines of the table of estimates: number and first frame, what is determined, and verdict of every contact."""
+    """Return lines of the table of estimates: number and first frame, what is determined, and verdict of every
+    contact."""
     if not (folder / RESULTS).is_file():
         return []  # a sequence
     return [
@@ -85,9 +86,7 @@ def conclude(output: Path, outcomes: list[Outcome], console: Console) -> None:
     """Print what was estimated and how the clips went, write the batch's page and its clips', and say where."""
     estimates = [(plain(outcome.name), *line) for outcome in outcomes for line in outcome.contacts]
     if estimates:
-        _print(
-            f"Estimates (± is the 90 % interval). {OWN_UNITS}", ("clip", "contact", "estimate", "verdict"), estimates
-        )
+        _print(f"Estimates (±: 90 % interval). {OWN_UNITS}", ("clip", "contact", "estimate", "verdict"), estimates)
     # A line a status: a column each would leave no room for the rest on a narrow terminal.
     counts = ["\n".join(plain(f"{count} {status}") for status, count in outcome.counts.items()) for outcome in outcomes]
     clips = [(plain(one.name), one.state, found, plain(one.where)) for one, found in zip(outcomes, counts, strict=True)]

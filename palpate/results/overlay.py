@@ -1,4 +1,4 @@
-"""Overlay on the clip: outlines, contact point, force arrow, verdict and numbers."""
+"""Overlay on the clip: stiffness, outlines, contact point, force arrow, verdict and numbers."""
 
 import textwrap
 
@@ -6,23 +6,25 @@ import cv2
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL
+from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.records import FrameEstimate
 from palpate.estimators.result import values_of
-from palpate.results.field_overlay import RANGE, draw_field
 from palpate.results.verdicts import ALARMS, NOTES, Color, in_words, numbers, state
 
 Place = tuple[float, float]
 WHITE: Color = (255, 255, 255)
-_TISSUE_COLOR: Color = (74, 222, 128)
-_TOOL_COLOR: Color = (56, 189, 248)
-_FORCE_COLOR: Color = (251, 146, 60)
 _SOFT: Color = (203, 213, 225)
 CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
 _FONT = cv2.FontFace("sans")
+OPACITY = 0.55
+RANGE = 4.0
+"""Colours end at this many times the median, and at one over it."""
+STIFF, MIDDLE, SOFT = (np.array(color, float) for color in ((214, 40, 40), (245, 240, 235), (37, 99, 235)))
 
 
 def canvas_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Width and height of the overlay for source frames of `size`: even, as H.264 needs, and wide enough for text."""
+    """Return the width and height of the overlay for source frames of `size`: even, as H.264 needs, and wide enough for
+    text."""
     factor = max(1, -(-480 // size[0]))
     return (size[0] * factor + 1) // 2 * 2, (size[1] * factor + 1) // 2 * 2
 
@@ -51,8 +53,8 @@ def draw_overlay(
     if image is not None and estimate.field is not None:
         draw_field(canvas, estimate.field, width / size[0], labels)
     if image is not None and labels is not None:
-        _outline(canvas, labels, TISSUE, _TISSUE_COLOR)
-        _outline(canvas, labels, TOOL, _TOOL_COLOR)
+        _outline(canvas, labels, TISSUE, (74, 222, 128))
+        _outline(canvas, labels, TOOL, (56, 189, 248))
     _mark_contact(canvas, estimate, width / size[0])
     _panel(canvas, estimate, corner)
     _footer(canvas, estimate)
@@ -60,6 +62,40 @@ def draw_overlay(
     if edge is not None:
         cv2.rectangle(canvas, (0, 0), (width - 1, height - 1), edge, max(3, round(height / 80)))
     return canvas
+
+
+def draw_field(canvas: np.ndarray, field: ParticleField, factor: float, labels: np.ndarray | None = None) -> None:
+    """Paint stiffness against stretch over its median where it is known on an RGB canvas in place.
+
+    Colours are on a logarithmic scale from 1/RANGE to RANGE.
+
+    Args:
+        canvas: uint8, shape [H, W, 3].
+        factor: pixels of the canvas a pixel of the source frame.
+        labels: label map of any resolution: what an instrument hides isn't painted; None = all is.
+    """
+    known, values = field.distance.known, field.distance.value
+    if field.verdict == "undetermined" or not known.any():
+        return
+    faces, places = field.faces[known[field.faces].all(axis=1)], (field.pixels + 0.5) * factor
+    values = values / float(np.median(values[known]))
+    found, covered = canvas.copy(), np.zeros(canvas.shape[:2], np.uint8)
+    logs = np.log(values[faces].mean(axis=1)) / np.log(RANGE)
+    for corners, color in zip(np.round(places[faces]).astype(np.int32), colors(logs), strict=True):
+        cv2.fillConvexPoly(found, corners, color.tolist())
+        cv2.fillConvexPoly(covered, corners, 1)
+    shown = np.ones_like(covered)
+    if labels is not None:
+        shown = cv2.resize((labels != TOOL).astype(np.uint8), covered.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    mixed = cv2.addWeighted(found, OPACITY, canvas, 1 - OPACITY, 0)
+    canvas[(covered & shown) > 0] = mixed[(covered & shown) > 0]
+
+
+def colors(logs: np.ndarray) -> np.ndarray:
+    """Return RGB colours of relative stiffness from -1 (soft, blue) to 1 (stiff, red), beyond that as at the ends,
+    shape [F, 3]."""
+    share = np.clip(logs, -1, 1)[:, None]
+    return np.where(share > 0, MIDDLE + share * (STIFF - MIDDLE), MIDDLE - share * (SOFT - MIDDLE))
 
 
 def _outline(canvas: np.ndarray, labels: np.ndarray, label: int, color: Color) -> None:
@@ -73,12 +109,12 @@ def _outline(canvas: np.ndarray, labels: np.ndarray, label: int, color: Color) -
 
 
 def _mark_contact(canvas: np.ndarray, estimate: FrameEstimate, factor: float) -> None:
-    """Ring at the contact point, and the force arrow that ends there."""
+    """Draw a ring at the contact point, and the force arrow that ends there."""
     scale, touch = canvas.shape[0] / 480, estimate.touch
     if touch.arrow is not None:
         tail, tip = (tuple(round((value + 0.5) * factor) for value in point) for point in touch.arrow)
         cv2.arrowedLine(canvas, tail, tip, (20, 20, 20), max(4, round(6 * scale)), cv2.LINE_AA, tipLength=0.3)
-        cv2.arrowedLine(canvas, tail, tip, _FORCE_COLOR, max(2, round(3 * scale)), cv2.LINE_AA, tipLength=0.3)
+        cv2.arrowedLine(canvas, tail, tip, (251, 146, 60), max(2, round(3 * scale)), cv2.LINE_AA, tipLength=0.3)
     if touch.contact_u is not None and touch.contact_v is not None:
         center = (round((touch.contact_u + 0.5) * factor), round((touch.contact_v + 0.5) * factor))
         cv2.circle(canvas, center, max(4, round(7 * scale)), (20, 20, 20), max(3, round(4 * scale)), cv2.LINE_AA)
@@ -99,7 +135,7 @@ def panel_corner(labels: np.ndarray | None, before: tuple[int, int] = (0, 0)) ->
 
 
 def _panel(canvas: np.ndarray, estimate: FrameEstimate, corner: tuple[int, int]) -> None:
-    """Two lines in a corner: the verdict in words, and numbers or why there are none."""
+    """Draw two lines in a corner: the verdict in words, and numbers or why there are none."""
     height, width = canvas.shape[:2]
     scale = min(height / 480, width / 640)
     size, step, pad = max(11.0, 15 * scale), max(15.0, 21 * scale), max(6, round(10 * scale))
@@ -121,7 +157,7 @@ def _panel(canvas: np.ndarray, estimate: FrameEstimate, corner: tuple[int, int])
 
 
 def _second_line(estimate: FrameEstimate) -> str:
-    """Numbers of the frame with their units, else why there are none."""
+    """Return numbers of the frame with their units, else why there are none."""
     press, field = estimate.estimate, estimate.field
     if field is not None and field.verdict != "undetermined":
         return f"Stiffness against stretch, relative: red {RANGE:g} times the median, blue a {RANGE:g}th."
@@ -134,7 +170,7 @@ def _second_line(estimate: FrameEstimate) -> str:
 
 
 def _footer(canvas: np.ndarray, estimate: FrameEstimate) -> None:
-    """Frame and time at the lower left, the notice at the lower right."""
+    """Draw frame and time at the lower left, the notice at the lower right."""
     height, width = canvas.shape[:2]
     size = max(10.0, 13 * min(height / 480, width / 640))
     bar = round(size * 1.9)
@@ -160,12 +196,12 @@ def text(
 
 
 def text_width(string: str, size: float, *, bold: bool = False) -> int:
-    """Width of one line [px]."""
+    """Return the width of one line [px]."""
     return cv2.getTextSize((1, 1), _drawable(string), (0, 0), _FONT, round(size), 650 if bold else 400)[2]
 
 
 def wrap_text(string: str, width: float, size: float) -> list[str]:
-    """A text in lines of at most `width` px, broken between words, and within longer ones such as paths."""
+    """Wrap a text into lines of at most `width` px, broken between words, and within longer ones such as paths."""
     count = max(1, int(50 * width / text_width("n" * 50, size)))
     lines = textwrap.wrap(string, count)
     while count > 1 and max((text_width(line, size) for line in lines), default=0) > width:
@@ -182,5 +218,5 @@ def shade(image: np.ndarray, corner: tuple[int, int], size: tuple[int, int], opa
 
 
 def _drawable(string: str) -> str:
-    """Text without the stand-ins for bytes of file names that are not UTF-8, which OpenCV refuses."""
+    """Return a text without the stand-ins for bytes of file names that are not UTF-8, which OpenCV refuses."""
     return string.encode("utf-8", "replace").decode()

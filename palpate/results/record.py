@@ -31,25 +31,13 @@ from palpate.results.writer import ClipResults
 FORMAT_VERSION = 1
 """Version of the record's layout."""
 
-UNDRIVEN = (
-    "in no frame does tissue stretch with an instrument that holds or pushes it, so that no stiffness is known; the "
-    "online estimator needs a clip whose tool drives the tissue"
-)
-CODED = (
-    "the video's compression leaves small changes out, so that brightness lags behind by {:.1f} of 255 levels: k_d/k_s "
-    "and F/k_s by shading may come out too large, and other than from the same video compressed less"
-)
-UNCALIBRATED = (
-    "the model's uncertainty was never calibrated: its standard deviations are the network's own, and its 90 % "
-    "intervals hold the truth less often than that"
-)
-
+UNCALIBRATED = "the model's uncertainty was never calibrated: the coverage of its 90 % intervals is lower than that"
 PERSISTENT = ("unreadable", "no_mask", "bad_depth", "repeated")
 """Statuses that mean a broken input, not an empty scene."""
 
 
 def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> dict[str, Any]:
-    """Dependencies of a clip's results: hashes of files, settings, and the code.
+    """Return dependencies of a clip's results: hashes of files, settings, and the code.
 
     Those with the same digest, the record's `fingerprint`, need not be computed again.
     """
@@ -71,12 +59,12 @@ def depends_on(clip: Path, settings: PrepareSettings, estimator: Estimator) -> d
 
 
 def model_of(estimator: Estimator) -> ExportedModel | None:
-    """The estimator's network, where it has one."""
+    """Return the estimator's network, where it has one."""
     return getattr(estimator, "model", None)
 
 
 def head_of(kind: str, causes: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries of run.json for any results: what they are, and what they depend on."""
+    """Return entries of run.json for any results: what they are, and what they depend on."""
     return {
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
@@ -95,7 +83,7 @@ def build_record(
     results: ClipResults,
     seconds: Mapping[str, float],
 ) -> dict[str, Any]:
-    """The content of `run.json`.
+    """Return the content of `run.json`.
 
     Args:
         clip: the clip, read to its end.
@@ -106,6 +94,8 @@ def build_record(
     """
     source, frames = clip.source, results.estimates
     depth_identity, masks_identity = clip.identity
+    undriven = "no tissue stretches with an instrument, so no stiffness is known; give a clip whose tool drives tissue"
+    coded = f"by compression brightness lags by {results.lag:.1f} of 255 levels: k_d/k_s and F/k_s may be too large"
     return head_of("video", causes) | {
         "input": {
             "path": str(source.path.resolve()),
@@ -135,10 +125,10 @@ def build_record(
         "columns": {item.name: item.columns for item in results.artefacts if item.columns is not None},
         "warnings": [
             *clip.warnings,
-            *filter(None, [results.length.by if results.length.metres is None else ""]),
+            *([results.length.by] if results.length.metres is None and results.length.by else []),
             *warnings_of(source, frames, model, clip.sources),
-            *([] if results.stretched or causes["estimator"]["name"] != "online" else [UNDRIVEN]),
-            *([CODED.format(results.lag)] if results.lag else []),
+            *([] if results.stretched or causes["estimator"]["name"] != "online" else [undriven]),
+            *([coded] if results.lag else []),
             *(warning for artefact in results.artefacts for warning in artefact.warnings()),
             *([] if results.alarm is None else [results.alarm.sentence()]),
             *([results.calibration.reason] if results.calibration and results.calibration.reason else []),
@@ -150,7 +140,7 @@ def build_record(
 def warnings_of(
     source: FrameSource, frames: Sequence[FrameEstimate], model: ExportedModel | None, sources: Mapping[str, str]
 ) -> list[str]:
-    """Warnings about a clip, one sentence each: damage to it, doubtful masks or intervals.
+    """Return warnings about a clip, one sentence each: damage to it, doubtful masks or intervals.
 
     Args:
         source: the clip.
@@ -161,16 +151,11 @@ def warnings_of(
     metadata, found = {} if model is None else model.metadata, []
     for what, trained in (metadata.get("trained_on") or {}).items():
         if sources[what] not in trained:
-            found.append(
-                f"the model was trained on {what} from {' and '.join(trained)} and this clip's come from "
-                f"{sources[what]}: its estimates here are off by an amount that nobody has measured"
-            )
+            known = f"the model was trained on {what} from {' and '.join(trained)}"
+            found.append(f"{known} and this clip's come from {sources[what]}: its errors here are unknown")
     found += source.warnings
     if sources["masks"] == "automatic":
-        found.append(
-            "automatic masks take all lit tissue, so an instrument touches it in the picture whenever it is in view: "
-            "contact is undecided there until the instrument or the tissue has moved"
-        )
+        found.append("automatic masks take all lit tissue: contact is undecided until instrument or tissue has moved")
     for status in PERSISTENT:
         if hit := [frame for frame in frames if frame.status == status]:
             share, first = f"{len(hit)} of {len(frames)} frames are {status}", hit[0]
@@ -185,7 +170,8 @@ def warnings_of(
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, or of a folder's files with their names; hidden ones and our own results don't count.
+    """Return the SHA-256 of a file, or of a folder's files with their names; hidden ones and our own results don't
+    count.
 
     Of a folder's files that are too large to be pictures, size and time of change count instead of the content.
 
@@ -210,12 +196,13 @@ def sha256_of(path: Path) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _file_sha256(path: Path, size: int, changed: int) -> str:
-    """Digest of a file's content; size and time of change only keep a changed file from being remembered."""
+    """Return the digest of a file's content; size and time of change only keep a changed file from being remembered."""
     return file_sha256(path)
 
 
 def _named_files(settings: PrepareSettings) -> dict[str, str]:
-    """Hashes of the files outside the clip that the settings name, and of the YAML files next to their models."""
+    """Return hashes of the files outside the clip that the settings name, and of the YAML files next to their
+    models."""
     depth = settings.depth
     named = {"depth.source": depth.source, "depth.model": depth.model, "depth.preset": depth.preset}
     named |= {"masks": settings.masks, "camera": settings.layout.camera}
@@ -226,7 +213,7 @@ def _named_files(settings: PrepareSettings) -> dict[str, str]:
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Versions of this program and of the packages that the numbers depend on."""
+    """Return versions of this program and of the packages that the numbers depend on."""
     packages = ("palpate", "numpy", "scipy", "opencv-python-headless", "onnxruntime", "av")
     found = {name: item.version for name in packages for item in distributions(name=name)}
     return found | {"python": platform.python_version(), "preprocessing": str(PREPROCESSING_VERSION)}

@@ -87,7 +87,7 @@ class Batch:
         return Outcome.of(clip.name, DONE, folder)
 
     def clips(self) -> tuple[list[Path], list[Outcome]]:
-        """Clips under the given inputs, and an outcome for every input that has none."""
+        """Return clips under the given inputs, and an outcome for every input that has none."""
         found: dict[Path, None] = {}
         failed = []
         for given in self.options.inputs:
@@ -107,7 +107,8 @@ class Batch:
         return paths, failed
 
     def outcomes(self, paths: Sequence[Path], progress: Progress) -> Iterator[Outcome]:
-        """Outcomes of the clips: one after the other, or with --jobs as they are done, in processes of their own."""
+        """Yield outcomes of the clips: one after the other, or with --jobs as they are done, in processes of their
+        own."""
         scheduler = self.options.scheduler
         if not paths or (self.options.jobs == 1 and scheduler is None):
             for number, path in enumerate(paths, start=1):
@@ -162,7 +163,8 @@ class Batch:
 
 
 def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, Outcome, list[str]]:
-    """Outcome of a clip in this process, and what there is to say of it, for the one that has the terminal."""
+    """Process a clip in this process; return its outcome and the lines to print, for the process that has the
+    terminal."""
     options, path, folder = task
     batch = _opened(options)
     batch.folders = {} if folder is None else {path: folder}
@@ -173,7 +175,7 @@ def _attempt_in_worker(task: tuple[Options, Path, Path | None]) -> tuple[Path, O
 
 @functools.cache
 def _opened(options: Options) -> Batch:
-    """The batch, opened once in a worker."""
+    """Open the batch, once in a worker."""
     return Batch(argparse.Namespace(**dict(options)), Console(file=io.StringIO()))
 
 

@@ -33,12 +33,9 @@ from palpate.results.record import FORMAT_VERSION, head_of, sha256_of
 if TYPE_CHECKING:
     from palpate.results.run import Batch
 
-PARTICLES = "particles.csv"
-"""File of the last frame's particles."""
-
 
 def causes_of(sequence: Sequence, estimator: Mapping[str, Any]) -> dict[str, Any]:
-    """Dependencies of a sequence's results: hashes of all its files, the estimator's settings, and the code.
+    """Return dependencies of a sequence's results: hashes of all its files, the estimator's settings, and the code.
 
     Raises:
         OSError: a file can't be read.
@@ -60,7 +57,7 @@ class SequenceClip:
         ValueError: the sequence can't be used, or not with these options.
     """
 
-    files = (store.TABLE, PARTICLES, store.RECORD)
+    files = (store.TABLE, "particles.csv", store.RECORD)
     length, remarks = 0, ()
 
     def __init__(self, path: Path, batch: Batch) -> None:
@@ -98,7 +95,10 @@ class SequenceClip:
             for frame, field in tissue.fields():
                 number, verdict, values = sequence.numbers[frame], field.verdict, _values(field)
                 first = {"frame": number, "time_s": float(sequence.times[frame]), "verdict": verdict}
-                rows.append(first | _numbers(field))
+                # Columns of how much is known come before those of stiffness.
+                rows.append(
+                    first | dict(sorted(values_of(field.numbers).items(), key=lambda item: "stiffness" in item[0]))
+                )
                 cells: dict[str, Any] = {"triangle": field.faces.astype(np.int32)}
                 inner: dict[str, Any] = {"tetra": field.tetrahedra.astype(np.int32)} if len(field.tetrahedra) else {}
                 Mesh(field.positions, cells | inner, values).write(partial / f"particles_{number:06d}.vtk")
@@ -106,7 +106,7 @@ class SequenceClip:
                 columns = places | dict(zip("xyz", field.positions.T, strict=True)) | values
                 done()
             particles = [dict(zip(columns, row, strict=True)) for row in np.stack([*columns.values()], 1).tolist()]
-            for name, table in ((PARTICLES, particles), (store.TABLE, rows)):
+            for name, table in (("particles.csv", particles), (store.TABLE, rows)):
                 text = to_csv(table, [*dict.fromkeys(column for row in table for column in row)])
                 (partial / name).write_text(text, encoding="utf-8", newline="")
             empty = f"{tissue.unseen} of {len(sequence.gripped)} frames show no tissue: their clouds are empty"
@@ -129,12 +129,6 @@ class SequenceClip:
             store.write_record(partial, record)
             store.publish(partial, folder)
         return record
-
-
-def _numbers(field: ParticleField) -> dict[str, Any]:
-    """Columns of a frame, those of how much is known first."""
-    found = values_of(field.numbers)
-    return {name: found[name] for name in sorted(found, key=lambda name: "stiffness" in name)}
 
 
 def _values(field: ParticleField) -> dict[str, Any]:

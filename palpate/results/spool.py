@@ -47,7 +47,7 @@ class FrameSpool:
         self._count += 1
 
     def drain(self) -> Iterator[Shown]:
-        """All frames, once; the spool is empty then."""
+        """Yield all frames, once; the spool is empty then."""
         count, self._count = self._count, 0
         self._file.seek(0)
         for _ in range(count):

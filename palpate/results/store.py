@@ -16,6 +16,7 @@ from typing import Any
 
 from palpate.common.files import as_json, file_sha256, read_file
 from palpate.common.output import ForeignFile, is_unchanged
+from palpate.common.settings import fits
 
 TABLE, OVERLAY, RECORD = "parameters.csv", "overlay.mp4", "run.json"
 INTERACTIONS, FIT, FIELDS = "interactions.csv", "fit.png", "fields.npz"
@@ -70,7 +71,7 @@ def make_output(output: Path) -> None:
 
 
 def safe_name(name: str) -> str:
-    """A clip's name as a folder name that every file system takes.
+    """Return a clip's name as a folder name that every file system takes.
 
     Letters of any script stay; what file systems forbid becomes `_`; a name over 120 bytes of UTF-8 is cut and ends
     with a hash of the whole.
@@ -104,7 +105,7 @@ class ResultStore:
             tempfile.TemporaryFile(dir=output).close()
 
     def folder(self, name: str, origin: Path) -> Path:
-        """Folder of the clip `name` that comes from `origin`.
+        """Return the folder of the clip `name` that comes from `origin`.
 
         Its name, or its name with a mark when another clip's results, or anything that is not ours, are there.
 
@@ -127,7 +128,8 @@ class ResultStore:
         raise OutputError(f"{self.output / name}: holds something else; move it away or choose another --output.")
 
     def _owner(self, name: str) -> str | None:
-        """Source whose results the folder `name` holds; empty when it is free, None when it holds something else."""
+        """Return the source whose results the folder `name` holds; empty when it is free, None when it holds something
+        else."""
         folder = self.output / name
         if name.casefold() in self._taken:
             return self._taken[name.casefold()]
@@ -137,7 +139,8 @@ class ResultStore:
 
 
 def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overwrite: bool) -> bool:
-    """Whether a clip's folder holds these files as results of exactly this already; not where they are to be replaced.
+    """Return whether a clip's folder holds these files as results of exactly this already; False where they are to be
+    replaced.
 
     Args:
         folder: of a clip, as `ResultStore.folder` gave it.
@@ -160,15 +163,14 @@ def is_up_to_date(folder: Path, fingerprint: str, files: Iterable[str], *, overw
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """The run record of a clip's folder; empty where there is none, it is damaged or not one of this program's."""
+    """Return the run record of a clip's folder; empty where there is none, it is damaged or not one of this
+    program's."""
     try:
         record = json.loads(read_file(folder / RECORD))
     except (OSError, ValueError, RecursionError):
         return {}
-    if not isinstance(record, dict) or record.get("program") != PROGRAM:
-        return {}
     kinds = {"fingerprint": str, "input": dict, "files": dict, "statuses": dict, "contacts": dict}
-    return record if all(isinstance(record.get(name, kind()), kind) for name, kind in kinds.items()) else {}
+    return record if fits(record, kinds) and record.get("program") == PROGRAM else {}
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
@@ -181,7 +183,8 @@ def write_record(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def own_files(folder: Path) -> list[str]:
-    """Names of the files that the folder's record says this program wrote, its own last; none without a record."""
+    """Return names of the files that the folder's record says this program wrote, its own last; none without a
+    record."""
     files = read_record(folder).get("files", {})
     return [*(name for name in files if os.path.basename(name) == name), RECORD] if files else []
 
@@ -234,12 +237,12 @@ def settle(folder: Path) -> None:
 
 
 def _source(folder: Path) -> str | None:
-    """Input of our results in a folder; None where there are none."""
+    """Return the input of our results in a folder; None where there are none."""
     return read_record(folder).get("input", {}).get("path")
 
 
 def _is_as_recorded(path: Path) -> bool:
-    """Whether a file is as the record next to it has it."""
+    """Return whether a file is as the record next to it has it."""
     if path.name == RECORD:
         return path.is_file()
     return is_unchanged(path, [read_record(path.parent).get("files", {}).get(path.name)])
@@ -254,7 +257,7 @@ def _require_untouched(folder: Path, names: Iterable[str]) -> None:
 
 
 def _is_running(process: str) -> bool:
-    """Whether another process with this id lives."""
+    """Return whether another process with this id lives."""
     try:
         os.kill(int(process), 0)
     except (ProcessLookupError, ValueError, OverflowError):

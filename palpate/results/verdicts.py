@@ -70,8 +70,6 @@ NOTES = {
 # fmt: on
 """Notes on every verdict, on a fit that can't be trusted or is missing, and on every status without verdict."""
 OWN_UNITS = "u and f: the clip's own units of length and force (scene units), not m and N"
-SCENE_UNITS = dict(zip(REPORTED, ("f/u", "f·s/u", "f", "s", "u"), strict=True))
-"""Units of the quantities without a force scale."""
 ALARMS: dict[str, tuple[str, Color | None]] = {
     "below": ("Force limit: below.", None),
     "above": ("Force limit: ABOVE.", (220, 38, 38)),
@@ -82,9 +80,7 @@ ALARMS: dict[str, tuple[str, Color | None]] = {
 
 def state(result: FrameEstimate | InteractionEstimate) -> str:
     """Return the verdict of a frame or a contact, or why it has none."""
-    if isinstance(result, FrameEstimate):
-        return result.verdict or result.status
-    return result.verdict or "no_estimate"
+    return result.verdict or (result.status if isinstance(result, FrameEstimate) else "no_estimate")
 
 
 def in_words(name: str) -> str:
@@ -92,9 +88,9 @@ def in_words(name: str) -> str:
     return NOTES[name].words if name in NOTES else name.replace("_", " ")
 
 
-def digits(value: float, count: int) -> str:
-    """Return a number to `count` significant digits, without an exponent below a million."""
-    return f"{float(f'{value:.{count}g}'):g}"
+def digits(value: float) -> str:
+    """Return a number to two significant digits, without an exponent below a million."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def rounded(value: float, half: float) -> str:
@@ -104,7 +100,7 @@ def rounded(value: float, half: float) -> str:
 
 
 def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return symbol, text and unit of every parameter, as sure as the verdict lets it be.
+    """Return the symbol, text and unit of every parameter, as sure as the verdict lets it be.
 
     With half its 90 % interval after ± where it is determined, else the interval, and a dash where there is none.
     Ratios are given where only they, or one of them, are determined; a model that doesn't say what is gets two digits.
@@ -113,15 +109,14 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str, str
         values: of a frame or a contact, by column; those in newtons have the columns of their units.
     """
     found, single = [], (values.get("determined") or "").split(";") if verdict == "undetermined" else []
-    for name in REPORTED:
+    for name, own_unit in zip(REPORTED, ("f/u", "f·s/u", "f", "s", "u"), strict=True):
         ratio = name not in PARAMETERS
         value, low, high = (values.get(f"{name}{end}") for end in ENDS)
         if value is None or (ratio and verdict != "ratios" and name not in single):
             continue
-        text = f"≈ {digits(value, 2)}" if verdict == "onset_in_view" else "—"
+        text = f"≈ {digits(value)}" if verdict == "onset_in_view" else "—"
         if low is not None and high is not None:
             sure = ratio or verdict == "determined" or name in single
-            text = rounded(value, (high - low) / 2) if sure else f"{digits(low, 2)} to {digits(high, 2)}"
-        unit = (values.get(f"{name}_unit") or SCENE_UNITS[name]).partition(",")[0]
-        found.append((SYMBOLS[name], text, unit))
+            text = rounded(value, (high - low) / 2) if sure else f"{digits(low)} to {digits(high)}"
+        found.append((SYMBOLS[name], text, (values.get(f"{name}_unit") or own_unit).partition(",")[0]))
     return found

@@ -25,7 +25,7 @@ from palpate.results.verdicts import state
 
 
 class ClipResults:
-    """Gathers one clip's results in a hidden folder next to the final one, and moves it there when all is done.
+    """Results of one clip, gathered in a hidden folder next to the final one, and moved there when all is done.
 
     Use as a context manager; leaving it without `finish` removes what was written and leaves earlier results alone.
 
@@ -64,7 +64,7 @@ class ClipResults:
         self.unexplained: Counter[str] = Counter()
         """Number of those without an estimate by why they have none."""
         self.stretched = False
-        """Whether tissue has anywhere stretched with an instrument."""
+        """True if tissue has stretched anywhere with an instrument."""
         self.lag = 0.0
         """The largest of the contacts' lags [levels of 8 bits]."""
         self._open = ExitStack()
@@ -90,8 +90,7 @@ class ClipResults:
     def write(self, prepared: PreparedFrame, estimate: FrameEstimate) -> None:
         """Take the next frame; in contact it waits until that has ended."""
         if self.alarm is not None:
-            force_of = None if self.calibration is None else self.calibration.known_force
-            estimate = self.alarm.watch(estimate, force_of)
+            estimate = self.alarm.watch(estimate, None if self.calibration is None else self.calibration.known_force)
         pictures = any(artefact.pictures for artefact in self.artefacts)
         shown = (prepared.frame.image, prepared.picture_labels) if pictures else (None, None)
         self.estimates.append(replace(estimate, field=None))
@@ -146,7 +145,7 @@ class ClipResults:
                 self.alarm.frames.update({BELOW: -1, UNKNOWN: 1})
 
     def calibrate(self, length: ClipLength) -> None:
-        """Say in millimetres and newtons what was added, once all of it has been."""
+        """Convert what was added into millimetres and newtons, once all of it has been."""
         self.length = length
         if self.calibration is not None:
             self.calibration.conclude(length)

@@ -44,9 +44,9 @@ def test_masks_are_the_models_where_a_clip_without_annotation_has_them(tmp_path,
 def test_model_files_of_the_training_are_asked_for(tmp_path: Path) -> None:
     depth = {"source": "net.onnx", "preset": "midas-small"}
     model = model_of(tmp_path, depth=depth, masks="seg.onnx")
-    with pytest.raises(ModelFileError, match=r"trained with depth from net\.onnx; give that file's path as --depth"):
+    with pytest.raises(ModelFileError, match=r"trained with depth from net\.onnx; give that file as --depth"):
         preparation_settings(model, Preparation())
-    with pytest.raises(ModelFileError, match=r"trained with masks from seg\.onnx; give that file's path as --masks"):
+    with pytest.raises(ModelFileError, match=r"trained with masks from seg\.onnx; give that file as --masks"):
         preparation_settings(model, Preparation(depth="elsewhere/net.onnx"))
     same = preparation_settings(model, Preparation(masks="auto", depth="elsewhere/net.onnx"))
     other = preparation_settings(model, Preparation(masks="auto", depth="elsewhere/other.onnx"))

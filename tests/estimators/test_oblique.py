@@ -50,7 +50,7 @@ def test_only_oblique_contacts_are_expected_to_hide_an_error() -> None:
     assert oblique.effective_misfit(dataclasses.replace(aslant, misfit=17.0)) == 17.0
     assert oblique.effective_misfit(dataclasses.replace(aslant, noise=0.03)) == 1.0
     assert oblique.remark(aslant) == (
-        "The tissue is pressed at 12° to the line of sight, so its dent may hide its own bottom; intervals are widened."
+        "Tissue is pressed at 12° to the line of sight, so its dent may hide its bottom; intervals are inflated."
     )
 
 

@@ -114,7 +114,8 @@ def test_small_clips(words: str, runs: list[Seen]) -> None:
 def test_why_nothing_is_known_of_a_run() -> None:
     unseen, unfollowed = (tracked_runs(linked(clip_of(words), CONTACT), 2)[0] for words in ("oon", "noon"))
     assert unseen.unobserved == run_tracker.NO_ONSET
-    assert unfollowed.unobserved == f"{unfollowed.detail} {run_tracker.NOT_FOLLOWED}".strip()
+    lost = "The tissue at the contact could not be followed after its onset."
+    assert unfollowed.unobserved == f"{unfollowed.detail} {lost}".strip()
     assert len(unfollowed.builder.build(Mechanics()).observation) == 0
 
 
@@ -127,7 +128,8 @@ def judged(*probabilities: float) -> list[PreparedFrame]:
 def test_a_run_whose_tool_hovers_was_none_unless_tissue_ever_moved_with_it() -> None:
     passing, released, unknown = judged(0.7, 0.1, 0.0), judged(0.7, 0.95, 0.6, 0.2), judged(0.7, 0.8, 0.7)
     (run,) = tracked_runs(passing, 2)
-    assert (run.passed, run.unobserved, run.estimate().load_s) == (True, run_tracker.PASSED, None)
+    assert (run.passed, run.estimate().load_s) == (True, None)
+    assert run.unobserved.startswith("No contact: the instrument moves")
     for frames in (released, unknown):
         (run,) = tracked_runs(frames, 2)
         assert (run.passed, run.unobserved) == (False, run_tracker.NO_ONSET)
@@ -195,7 +197,7 @@ def test_a_grip_that_is_not_explained_says_so() -> None:
     record = InteractionEstimate(0, 0, 0.0, detail="No onset.")
     found = module.RunSession(clip_info(), Mechanics())._gripped(record, recorder, True)
     assert found.grip is grip
-    assert found.detail == "No onset. A sheet gripped by the instrument doesn't explain the motion (skill 0.20)."
+    assert found.detail == "No onset. A gripped sheet doesn't explain the motion (skill 0.20)."
 
 
 @pytest.mark.parametrize(("name", "followed"), [("direct", True), ("network", False)])

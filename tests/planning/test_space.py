@@ -13,7 +13,7 @@ from palpate import api
 from palpate.cli import plan as door
 from palpate.planning import space_map
 from palpate.planning.press import simulate_press
-from palpate.planning.pressing import RADIUS, WORK_SD, PressingCosts, unit_press
+from palpate.planning.pressing import RADIUS, PressingCosts, unit_press
 from palpate.planning.roadmap import Blocked
 from palpate.planning.scene import SoftObject, SpaceScene
 from palpate.planning.space_map import open_costs, plan_in_space
@@ -153,7 +153,7 @@ def test_cost_intervals_are_those_of_a_log_normal_e(scene, cache):
     unsure = open_costs(replace(scene, young_log_sd=0.4, alpha=0.5), cache)[0]
     press = np.array([[0.0, 0.0, 0.026], [0.0, 0.0, 0.0185]])
     found = unsure.plan(press)
-    factor = np.exp(1.645 * np.hypot(0.4, WORK_SD))
+    factor = np.exp(1.645 * np.hypot(0.4, 0.56))
     wanted = [found.cost + 0.5 * found.deformation * (each - 1) for each in (1 / factor, factor)]
     assert unsure.interval(found) == pytest.approx(wanted, rel=1e-3)
 

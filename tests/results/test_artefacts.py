@@ -72,7 +72,7 @@ class Warm(FrameEstimate):
 
 
 def test_a_field_is_a_column_of_the_table_and_a_quantity_has_its_interval() -> None:
-    table = Table.of(Warm, Energetic)
+    table = Table((Warm, Energetic))
     cells = dict(
         zip(table.columns, table.row(Warm(3, 0.1, "ok", warmth=310.0), Energetic(work=Quantity(2.0, 0.1))), strict=True)
     )

@@ -59,7 +59,7 @@ def test_every_run_has_a_row_with_its_unit_and_source(tmp_path: Path) -> None:
 
 def test_without_a_known_contact_the_rows_say_why(tmp_path: Path) -> None:
     told = concluded(calibrated(tmp_path, force_N=2.0, force_time_s=9.0), GOOD)
-    assert "no press was estimated in contact at 9 s" in told.rows[0]["detail"]
+    assert "no press was estimated at 9 s" in told.rows[0]["detail"]
     assert told.record()["reason"] == told.rows[0]["detail"]
 
 

@@ -15,7 +15,7 @@ from palpate.estimators.online.particle_field import FieldNumbers, ParticleField
 from palpate.estimators.records import FRAMES, FrameEstimate
 from palpate.estimators.result import columns_of, values_of
 from palpate.results.artefacts.fields import FieldFile
-from palpate.results.field_overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field
+from palpate.results.overlay import MIDDLE, OPACITY, SOFT, STIFF, colors, draw_field
 from palpate.results.writer import ClipResults
 from tests.results.fields import FIELD_SEEN, UNKNOWN, opened
 from tests.results.test_writer import FRAME

@@ -138,7 +138,7 @@ def test_warnings_name_sources_the_model_was_not_trained_on(source: FrameSource,
         "the model was trained on depth from depthpro and stored and this clip's come from photo"
     )
     assert found[1].startswith("the model was trained on masks from annotation and this clip's come from automatic")
-    assert found[2].endswith("contact is undecided there until the instrument or the tissue has moved")
+    assert found[2].endswith("contact is undecided until instrument or tissue has moved")
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def row_of(table: Table, **more: dict[str, Any]) -> dict[str, Any]:
         kind = next((TYPES[each] for each in given if each in TYPES), "number")
         found[name] = {"type": kind if name in ALWAYS else [kind, "null"], "description": text}
     texts = {"type": "array", "items": {"type": "string"}}
-    found["determined"] = texts | {"description": "which parameters and ratios are determined"}
+    found["determined"] = texts | {"description": "parameters and ratios that are determined"}
     return {"type": "object", "properties": found | more, "required": [*found, *more]}
 
 

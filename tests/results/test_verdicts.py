@@ -60,4 +60,4 @@ def test_physical_units_are_those_of_the_table_and_numbers_end_at_their_uncertai
 
 @pytest.mark.parametrize(("value", "expected"), [(0.000456, "0.00046"), (348.2, "350"), (1.0, "1"), (0.0, "0")])
 def test_digits_need_no_exponent(value: float, expected: str) -> None:
-    assert digits(value, 2) == expected
+    assert digits(value) == expected

@@ -76,7 +76,7 @@ def test_a_known_force_that_does_not_reach_a_pull_is_said(tmp_path: Path) -> Non
         output.finish({"program": PROGRAM})
     said = [row["detail"] for row in read_rows(tmp_path / "clip" / "interactions.csv")]
     assert "force" not in said[0]
-    assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for the other frames.")
+    assert said[2].endswith("The force is known in 0 frames that move; 3 are needed for others.")
     assert "calibrated.csv" in own_files(tmp_path / "clip")
     assert calibration.reason == ""
 

@@ -13,7 +13,6 @@ from palpate.estimators.direct.motion import about_tissue
 from palpate.estimators.direct.patch import RADII, PatchMotion
 from palpate.estimators.direct.problem import (
     DELAYS,
-    Combined,
     Optimum,
     apart,
     combine,
@@ -33,49 +32,6 @@ from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import Mechanics
 
-AT_BOUND = 1e-3
-"""Best fits this near to the end of their range in φ lie at it."""
-DELAY_AT_END = 0.9
-"""Delays beyond this share of their range lie at its end: the press may have begun outside of it."""
-TRUST = 2 / 3
-"""Share of the posterior that must agree that a contact determines its parameters. Half would trust the prior, which
-holds more pliable tissue than there is; two thirds and more gave the most right verdicts on validation clips."""
-
-
-def concluded(
-    problem: JointLikelihood, box: np.ndarray, optima: Sequence[Optimum], combined: Combined, draws: Draws | None
-) -> PressResult:
-    """Estimate of a fitted press, with the covariance of a large noise added where the contact may hide its own bottom.
-
-    Args:
-        problem: that was fitted.
-        box: lower and upper ends of all parameters, shape [2, D].
-        optima: all that were found.
-        combined: mean [D] and covariance [D, D] of all parameters by these, and the best of them.
-        draws: of the posterior, which say them better; None = there are too few.
-    """
-    prior, (mean, spread, best) = box_information(box), combined
-    judges = mean[None]
-    if draws is not None:
-        # Draws whose information is compared.
-        mean, spread, judges = draws.mean, draws.covariance, draws.thinned(15)
-    information = problem.information(mean)
-    trusted = trusted_information([about_tissue(problem.information(logs), prior) for logs in judges])
-    # The model does not explain what lies farther from its best fit than this many σ.
-    found = PressResult(
-        **press_fields(problem, mean, best, box, mean),
-        covariance=spread[:3, :3],
-        information=information[:3, :3],
-        expected_information=trusted,
-        noise=problem.first.noise.total,
-        misfit=problem.misfit(best.logs),
-        largest_misfit=1.5,
-    )
-    if not is_oblique(found):
-        return found
-    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
-    return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
-
 
 def press_fields(
     problem: JointLikelihood, mean: np.ndarray, best: Optimum, box: np.ndarray, logs: np.ndarray
@@ -88,38 +44,31 @@ def press_fields(
         logs: parameters whose delays count, shape [D].
     """
     motion, delays = problem.motion, logs[problem.motion.delays]
-    course = PressCourse(
-        *(motion.within * delays).tolist(),
-        at_end=bool((np.abs(delays) > DELAY_AT_END).any()),
-        shape=motion.shape(problem.press(mean)),
-        view_angle=view_angle(problem.first.contact),
-    )
-    at_bound = np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < AT_BOUND
+    at_end = bool((np.abs(delays) > 0.9).any())  # the press may have begun or ended beyond
+    shape, angle = motion.shape(problem.press(mean)), view_angle(problem.first.contact)
+    course = PressCourse(*(motion.within * delays).tolist(), at_end=at_end, shape=shape, view_angle=angle)
+    at_bound = np.minimum(best.logs - box[0], box[1] - best.logs)[:3] < 1e-3
     return {"theta": motion.theta(mean), "at_bound": at_bound, "course": course}
 
 
 def trusted_information(information: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the one of several draws' information [3, 3] that a share TRUST of them equals or exceeds.
+    """Return the one of several draws' information [3, 3] that two thirds of them equal or exceed.
 
-    How much a motion tells depends on θ itself. A verdict at the mean alone would be as uncertain as that.
+    The information of a motion depends on θ itself. A verdict at the mean alone would be as uncertain as that.
     """
     order = sorted(information, key=lambda found: float(bounds(found).max()))
-    return order[math.ceil(TRUST * len(order)) - 1]
+    # Half would trust the prior, with its too pliable tissue; two thirds and more gave the most right verdicts.
+    return order[math.ceil(2 / 3 * len(order)) - 1]
 
 
 FITS = 3
 """Starts that are fitted to the end; where there are more, the best of them."""
-LEAST_EXCESS, REFUTES = 1.1, 5.0
-"""A step on a vertex is refuted by a larger misfit than the first, if its square lies more standard deviations above 1
-than the second: 16 patches of validation clips gave 23 and more, with misfits from 1.2 on."""
-ASIDE = 2
-"""Farthest vertex to which a contact is moved, along an axis [grid pixels]."""
 NARROW = 0.1
-"""Where all standard deviations of log θ are smaller the posterior is as good as normal, and needs no draws."""
+"""Standard deviation of log θ below which a posterior counts as normal and is not sampled."""
 
 
 def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
-    """Optima of a sequence's fit, the best first; the problem has looked at that one.
+    """Return the optima of a sequence's fit, the best first; the problem has looked at that one.
 
     Args:
         problem: the depth-change sequence.
@@ -140,17 +89,35 @@ def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
 
 
 def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
-    """What optima of a sequence's fit say: the posterior around them and its verdict; `tissue` as in `field_optima`."""
+    """Return the posterior around the optima of a sequence's fit, with its verdict; `tissue` as in `field_optima`.
+
+    Where the contact may hide its own bottom, the covariance of a large noise is added.
+    """
     box = problem.motion.box(tissue)
     prior = box_information(box)
     mean, spread, best = combine(optima, prior)
-    scale = max(1.0, problem.misfit(best.logs)) ** 2
-    spread, draws = scale * spread, None
+    misfit = problem.misfit(best.logs)
+    scale = max(1.0, misfit) ** 2
+    spread, judges = scale * spread, mean[None]
     if problem.motion.sampled and (len(optima) > 1 or (np.diag(spread)[:3] > NARROW**2).any()):
-        found = _sample_field(problem, optima, best, box, scale)
-        # Fewer effective draws say less than the optima themselves.
-        draws = found if found.effective >= 10.0 else None
-    return concluded(problem, box, optima, (mean, spread, best), draws)
+        draws = _sample_field(problem, optima, best, box, scale)
+        # Fewer effective draws say less than the optima themselves; the information of 15 draws is compared.
+        if draws.effective >= 10.0:
+            mean, spread, judges = draws.mean, draws.covariance, draws.thinned(15)
+    information = problem.information(mean)
+    found = PressResult(
+        **press_fields(problem, mean, best, box, mean),
+        covariance=spread[:3, :3],
+        information=information[:3, :3],
+        expected_information=trusted_information([about_tissue(problem.information(logs), prior) for logs in judges]),
+        noise=problem.first.noise.total,
+        misfit=misfit,
+        largest_misfit=1.5,
+    )
+    if not is_oblique(found):
+        return found
+    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
+    return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
 
 
 def fit_press(
@@ -171,7 +138,8 @@ def fit_press(
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
     misfit, counted = step.misfit(best.logs), step.first.counted
-    if misfit < LEAST_EXCESS or (misfit**2 - 1) * math.sqrt(counted / 2) < REFUTES:
+    # Refuted is a misfit above 1.1 whose square lies 5 standard deviations above 1; patches in validation gave 23.
+    if misfit < 1.1 or (misfit**2 - 1) * math.sqrt(counted / 2) < 5.0:
         return sampled(step, plain, tissue)
     elsewhere, aside = recentred(step, best.logs)
     if tries and any(aside):
@@ -195,12 +163,13 @@ def recentred(problem: JointLikelihood, logs: np.ndarray) -> tuple[Interaction, 
         The contact there, and by how many rows and columns it was moved.
     """
     contact, sequence, side = problem.first.contact, problem.first.contact.observations["depth"], 2 * REACH + 1
+    aside = 2  # farthest vertex along an axis [grid pixels]
     simulated = problem.first.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
-    wide = np.pad(sequence.change, ((0, 0), (ASIDE, ASIDE), (ASIDE, ASIDE)), constant_values=np.nan)
+    wide = np.pad(sequence.change, ((0, 0), (aside, aside), (aside, aside)), constant_values=np.nan)
     pixels, found = contact.mesh.pixels, []
-    for row, column in itertools.product(range(-ASIDE, ASIDE + 1), repeat=2):
+    for row, column in itertools.product(range(-aside, aside + 1), repeat=2):
         vertex = np.flatnonzero((pixels == pixels[contact.vertex] + (row, column)).all(axis=1))
-        change = wide[:, ASIDE + row : ASIDE + row + side, ASIDE + column : ASIDE + column + side]
+        change = wide[:, aside + row : aside + row + side, aside + column : aside + column + side]
         inner = np.isfinite(change - simulated)
         dent, shown = simulated[inner], change[inner].astype(np.float64)
         if len(vertex) and len(dent):
@@ -212,7 +181,8 @@ def recentred(problem: JointLikelihood, logs: np.ndarray) -> tuple[Interaction, 
 
 
 def field_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
-    """Parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S, D].
+    """Return parameters with the smallest misfits among many, each with the force and the delay that suit it best, [S,
+    D].
 
     Tissue is taken to stay in its pixels, which is true of most of a dent.
     """
@@ -263,7 +233,7 @@ def raced(problem: JointLikelihood, starts: np.ndarray, box: np.ndarray) -> np.n
 
 
 def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> Mixture:
-    """Where the first draws of a posterior come from: around its optima, and as many from its tails.
+    """Return the mixture of a posterior's first draws: half of them around its optima, half in its tails.
 
     Args:
         optima: at least one; D parameters.
@@ -284,7 +254,7 @@ def first_draws(optima: Sequence[Optimum], scale: float, prior: np.ndarray) -> M
 def _sample_field(
     problem: JointLikelihood, optima: list[Optimum], best: Optimum, box: np.ndarray, scale: float
 ) -> Draws:
-    """The posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
+    """Return the posterior around the optima, σ² being `scale` times as large as the depth-change sequence says."""
     prior = box_information(box)
     motion, depth = problem.motion, problem.first
     error = motion.finer(best.logs) - motion.quick(best.logs)

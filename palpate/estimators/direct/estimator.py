@@ -1,10 +1,10 @@
 """The direct estimator: θ of one contact from its motion through the simulator, without a trained network.
 
-The strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust region
-finds what explains the sequence of a dent best (`observations.depth`), as a step on a vertex or as a press of any
-shape (`estimators.direct.patch`), in φ = (log k_s, log k_d, log |F|) and, where the instants are not known, in the
+It is the strongest classical rival of a network (docs/reports/identifiability.md). Levenberg–Marquardt with a trust
+region fits the sequence of a dent (`observations.depth`), as a step on a vertex or as a press of any shape
+(`estimators.direct.patch`). Parameters are φ = (log k_s, log k_d, log |F|) and, where the instants are not known,
 delays of the press (`estimators.direct.motion`). Around these optima the posterior is sampled
-(`estimators.direct.sampling`), with a uniform prior on the box of these: mean and covariance of φ are the estimate.
+(`estimators.direct.sampling`), with a uniform prior on the box. Mean and covariance of φ are the estimate.
 """
 
 import dataclasses
@@ -19,8 +19,7 @@ from palpate.common.options import option
 from palpate.common.settings import LARGEST
 from palpate.data.contact.interaction import SHADING, Interaction
 from palpate.data.prepared import PreparedFrame
-from palpate.data.settings import PrepareSettings
-from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
+from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output
 from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.joint import fit_together
 from palpate.estimators.direct.motion import FITTED
@@ -47,8 +46,8 @@ class DirectSettings(PressSettings):
     """
 
     observation: tuple[str, ...] = option((), choices=lambda: tuple(OBSERVATIONS.entries))
-    """what is compared, in one fit: depth of all visible tissue around the contact (default where depth is given),
-    shading, which is how the tissue's light changes (default where depth is guessed), or both"""
+    """observations of one fit: depth of all visible tissue around the contact (default where depth is given); shading,
+    the change of the tissue's light (default where depth is guessed); or both"""
     smoothing: Annotated[float, 0, LARGEST] = option(SMOOTHING, metavar="PIXELS")
     """smooth the tissue's resting shape over this many grid pixels, which also measures the depth's noise"""
     # A smaller σ is refused [scene units]: that is the fitted simulator's own error (docs/reports/identifiability.md),
@@ -69,35 +68,22 @@ class DirectSettings(PressSettings):
 
 
 class DirectEstimator(Estimator):
-    """Fits every run of contact when it has ended; needs no network.
-
-    Args:
-        settings: how.
-        mechanics: integrator of the fitted model.
-        bounds: admissible box, in which the prior is uniform; F presses.
-
-    Raises:
-        ValueError: a box that reaches 0.
-    """
+    """Estimator that fits every run of contact when it has ended; needs no network."""
 
     name = "direct"
+    mechanics = FITTED
+    """Integrator of the fitted model."""
+    bounds = RECOMMENDED
+    """Admissible box, in which the prior is uniform; F presses."""
 
-    def __init__(
-        self, settings: DirectSettings = DirectSettings(), mechanics: Mechanics = FITTED, bounds: Bounds = RECOMMENDED
-    ) -> None:
-        self.settings, self.mechanics, self.bounds = settings, mechanics, bounds
-        self.log_box = bounds.log_box
-        """Bounds of φ, shape [2, 3]."""
+    def __init__(self, settings: DirectSettings) -> None:
+        self.settings, self.smoothing = settings, settings.smoothing
 
     @property
     def described(self) -> dict[str, Any]:
         """All that the fits depend on besides the clip."""
         model = {"mechanics": dataclasses.asdict(self.mechanics), "bounds": dataclasses.asdict(self.bounds)}
         return super().described | model
-
-    def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Smoothed tissue, the camera's motion subtracted, and otherwise what the user chooses."""
-        return chosen.without_model(self.settings.smoothing)
 
     def start(self, clip: ClipInfo) -> "DirectSession":
         """Open a session."""
@@ -117,7 +103,7 @@ class DirectSession(RunSession):
         self._within = onset_error(settings.onset, clip.fps)
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
-        """The next frame."""
+        """Take the next frame."""
         yield from self._ended(self._pushed(frame))
         self._follow(frame)
         yield frame_estimate(frame, self.clip, doubts=WHOLE if frame.in_contact else "", whole=True)
@@ -125,28 +111,24 @@ class DirectSession(RunSession):
     def fit(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray]]:
         """Fit θ to one contact; gives the estimate and the simulated motion, as in `simulated_motion`.
 
-        Where the beginning of the press isn't known its delay is fitted as well, and the information is what there
-        would be if it were known. Where the contact is pressed aslant to the line of sight its uncertainty is widened
-        (`estimators.oblique`), because what it was fitted to may not be the bottom of the dent.
+        Where the beginning of the press isn't known its delay is fitted as well, and the information is that for a
+        known beginning. Where the contact is pressed aslant to the line of sight its uncertainty is inflated
+        (`estimators.oblique`), because the bottom of the dent may be hidden.
 
         Raises:
             NoEstimate: fewer than three observations, or no noise level.
         """
-        estimator, within = self.estimator, self._within * contact.intervals
-        settings = estimator.settings
+        settings, within = self.estimator.settings, self._within * contact.intervals
+        how = self.mechanics, within, settings.noise, self.estimator.bounds.log_box
         if settings.observation not in ((), ("depth",)):
-            what = self.mechanics, within, settings.noise, estimator.log_box
-            found = fit_together(contact, settings.observation, *what)
-            return found, simulated_motion(contact, found, self.mechanics)
-        if contact.sequence is None:
+            found = fit_together(contact, settings.observation, *how)
+        elif contact.sequence is None:
             raise NoEstimate("The depth's noise isn't known; set --smoothing above 0, or give --noise.")
-        count = min(len(contact.observation), len(contact.sequence.times))
-        if count < LEAST_OBSERVATIONS:
-            raise NoEstimate(
-                f"The tissue around the contact was followed over {count} frames after its onset; "
-                f"{LEAST_OBSERVATIONS} are needed."
-            )
-        found = fit_press(contact, self.mechanics, within, settings.noise, estimator.log_box)
+        elif (count := min(len(contact.observation), len(contact.sequence.times))) < LEAST_OBSERVATIONS:
+            problem = f"The tissue around the contact was followed over {count} frames after its onset;"
+            raise NoEstimate(f"{problem} {LEAST_OBSERVATIONS} are needed.")
+        else:
+            found = fit_press(contact, *how)
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:
@@ -156,7 +138,8 @@ class DirectSession(RunSession):
 
 
 def simulated_motion(contact: Interaction, found: PressResult, mechanics: Mechanics) -> tuple[np.ndarray, np.ndarray]:
-    """Times from the first frame in contact to the last observation [s], and the motion along the force, [T] each."""
+    """Return times from the first frame in contact to the last observation [s], and the motion along the force, [T]
+    each."""
     delay = found.course.delays[0]
     steps = contact.steps + math.ceil(max(-delay, 0.0) / mechanics.time_step)
     press = fitted_press(contact, found, mechanics.time_step, steps)
@@ -168,7 +151,7 @@ def simulated_motion(contact: Interaction, found: PressResult, mechanics: Mechan
 
 
 def fitted_press(contact: Interaction, found: PressResult, time_step: float, steps: int) -> Press:
-    """The load of an estimate over so many steps [s] from the beginning of the press, which its delays tell."""
+    """Return the load of an estimate over so many steps [s] from the beginning of the press, by its fitted delays."""
     delay, release = found.course.delays
     seconds = contact.load_seconds + release - delay if contact.released else math.inf
     if found.course.shape is None:
@@ -177,22 +160,15 @@ def fitted_press(contact: Interaction, found: PressResult, time_step: float, ste
 
 
 def doubts(found: PressResult, bounds: Bounds) -> str:
-    """Sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
-    oblique = remark(found)
-    sentences = [oblique] if oblique else []
-    if found.refuted:
-        sentences.append(found.refuted)
+    """Return sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
+    texts = [remark(found), found.refuted]
     if found.misfit > found.largest_misfit:
-        sentences.append(
-            f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it"
-            # An oblique one was widened by its misfit.
-            + ("." if oblique else ", so the uncertainties are too small.")
-        )
+        # An oblique one was inflated by its misfit.
+        end = "." if texts[0] else ", so the uncertainties are too small."
+        texts.append(f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it{end}")
     if found.course.at_end:
-        sentences.append(
-            "The press seems to have begun or ended a whole frame from where it was seen to; don't trust the fit."
-        )
+        texts.append("The press seems to begin or end a whole frame from where it was seen to; don't trust the fit.")
     for name, stuck, (low, high) in zip(PARAMETERS, found.at_bound, np.exp(bounds.log_box).T, strict=True):
         if stuck:
-            sentences.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
-    return " ".join(sentences)
+            texts.append(f"The best fit lies at the end of the {name}'s admissible range, {low:g} to {high:g}.")
+    return " ".join(filter(None, texts))

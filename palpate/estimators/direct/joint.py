@@ -64,7 +64,7 @@ def fit_together(
 
 
 def _of_depth(problem: JointLikelihood, found: PressResult) -> np.ndarray:
-    """All parameters from an estimate by depth, those of the other observations as in their priors."""
+    """Return all parameters from an estimate by depth, those of the other observations as in their priors."""
     motion = problem.motion
     delays = np.array(found.course.delays)[: motion.delays.stop - motion.delays.start]
     press = np.concatenate([np.log(np.abs(found.theta)), delays / (motion.within or 1.0)])

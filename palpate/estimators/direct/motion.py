@@ -1,4 +1,4 @@
-"""How vertices of the mesh move under a press, by all parameters of a fit: θ, and when the press began and ended.
+"""Motion of the mesh's vertices under a press, by all parameters of a fit: θ, and the beginning and end of the press.
 
 A camera knows the beginning and the end of a press to a frame only, and a few milliseconds look like other tissue.
 Where the instants aren't known, two delays are parameters besides φ = (log k_s, log k_d, log |F|), independent of each
@@ -20,11 +20,8 @@ from palpate.physics.msd.simulation import simulate, simulate_tangent
 
 FITTED = Mechanics(time_step=0.0025, steps=400, scheme="dkd", window_error=1e-6)
 """The default integrator; its own error must lie below the noise: of second order, with half the paper's step."""
-FINER = 4
-"""Parts into which a step is divided to see its error."""
 _OTHERS = np.array([[1.0, 0.0, 0.0, 0.0], [2.0, 2.0, 1.0, 1.0], [3.0, 3.0, 3.0, 2.0]])
 """Node triples: four nodes in a row, the three others of each one."""
-_SCALE = (np.arange(4.0) - _OTHERS).prod(axis=0)
 
 
 class PressMotion:
@@ -39,15 +36,15 @@ class PressMotion:
     """
 
     starts = 3
-    """From how many candidates the search of its parameters begins."""
+    """Number of candidates from which the search of the parameters begins."""
     looks = 2
-    """How often it is decided anew at the best fit what the pixels show."""
+    """Number of times that the tissue in the pixels is decided anew at the best fit."""
     parts = 1
     """Places of a picture's pixels along an axis, in which they may show other tissue."""
     astray, uneven = 0.0, 0.0
     """Errors of the simulated dent, as in `DepthLikelihood`."""
     sampled = True
-    """Whether some hundred draws are enough to sample the posterior of its parameters."""
+    """True if some hundred draws are enough to sample the posterior of the parameters."""
 
     def __init__(
         self, contact: Interaction, mechanics: Mechanics, vertices: np.ndarray, times: np.ndarray, within: float = 0.0
@@ -61,22 +58,24 @@ class PressMotion:
 
     @property
     def delays(self) -> slice:
-        """Which of the parameters are delays: none, that of the beginning, or both."""
+        """Slice of the parameters that are delays: none, that of the beginning, or both."""
         return slice(3, 3 + (1 + self.contact.released if self.within else 0))
 
     def loaded(self, logs: np.ndarray, longer: float = 0.0) -> float:
-        """Time under load for all parameters [D], and `longer`; infinite where no release was observed [s]."""
+        """Return the time under load for all parameters [D], and `longer`; infinite where no release was observed
+        [s]."""
         if not self.contact.released:
             return math.inf
         delayed = self.within * (logs[4] - logs[3]) if self.within else 0.0
         return self.contact.load_seconds + delayed + longer
 
     def since(self, logs: np.ndarray) -> np.ndarray:
-        """The instants since the beginning of the press, shape [N] [s]."""
+        """Return the instants since the beginning of the press, shape [N] [s]."""
         return self.times - (self.within * logs[3] if self.within else 0.0)
 
     def seen(self, curves: Sequence[np.ndarray], step: float, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements at the instants [N, …], and their derivatives by tissue's parameters and the delays [N, …, D].
+        """Return displacements at the instants [N, …], and their derivatives by tissue's parameters and the delays [N,
+        …, D].
 
         Args:
             curves: displacements after every step, their derivatives by tissue's parameters, and by the load's duration
@@ -98,23 +97,24 @@ class PressMotion:
 
     @property
     def centred(self) -> np.ndarray:
-        """Which of the parameters every start takes from the middle of their range, where most are near, indices."""
+        """Indices of the parameters that every start takes from the middle of their range, where most are near."""
         return np.arange(self.delays.start, self.delays.stop)
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
-        """Lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
+        """Return the lower and upper ends of all parameters, shape [2, D], from those of φ [2, 3]."""
         return np.hstack([tissue, np.tile([[-1.0], [1.0]], self.delays.stop - 3)])
 
     def theta(self, logs: np.ndarray) -> np.ndarray:
-        """θ = [k_s, k_d, F], shape [3]."""
+        """Return θ = [k_s, k_d, F], shape [3]."""
         return theta_of(logs[:3])
 
     def shape(self, logs: np.ndarray) -> PressShape | None:
-        """Patch, direction and course of the force of all parameters [D]; None = a step on the contact vertex."""
+        """Return the patch, direction and course of the force of all parameters [D]; None = a step on the contact
+        vertex."""
         return None
 
     def load(self, logs: np.ndarray, time_step: float, steps: int, longer: float = 0.0) -> Press:
-        """The load of all parameters.
+        """Return the load of all parameters.
 
         Args:
             logs: all parameters, shape [D].
@@ -124,7 +124,7 @@ class PressMotion:
         return dataclasses.replace(self.contact.load, factor=held(self.loaded(logs, longer) / time_step, steps))
 
     def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements [N, M, 3] and their derivatives by all parameters [N, M, 3, D], in double precision.
+        """Return displacements [N, M, 3] and their derivatives by all parameters [N, M, 3, D], in double precision.
 
         Exact by φ; by the delays of a press whose release was observed they are differences from then on, good to 5 %.
         Without derivatives where the motion is so chaotic that rounding decides them.
@@ -145,35 +145,37 @@ class PressMotion:
         return found, np.concatenate([slopes, others], axis=-1)
 
     def _others(self, logs: np.ndarray) -> np.ndarray:
-        """Derivatives of the displacements by all parameters besides φ and the delays, shape [N, M, 3, D']."""
+        """Return derivatives of the displacements by all parameters besides φ and the delays, shape [N, M, 3, D']."""
         return np.empty((len(self.steps), len(self.vertices), 3, 0))
 
     def finer(self, logs: np.ndarray) -> np.ndarray:
-        """The displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""
-        mechanics = dataclasses.replace(self.mechanics, time_step=self.mechanics.time_step / FINER)
-        path = self._path(logs, mechanics, FINER * self.longest, np.float64)
-        return self._shown(path, FINER * (self.steps + 1), mechanics, logs)
+        """Return the displacements with a quarter of the time step, shape [N, M, 3]: what the steps' own error is."""
+        mechanics = dataclasses.replace(self.mechanics, time_step=self.mechanics.time_step / 4)
+        path = self._path(logs, mechanics, 4 * self.longest, np.float64)
+        return self._shown(path, 4 * (self.steps + 1), mechanics, logs)
 
     def coarse(self, logs: np.ndarray) -> np.ndarray:
-        """The displacements with a coarse time step and in single precision, shape [N, M, 3]."""
+        """Return the displacements with a coarse time step and in single precision, shape [N, M, 3]."""
         path, ratio = self.coarse_path(logs)
         return self._shown(path, (self.steps + 1) // ratio, self.coarse_mechanics()[0], logs)
 
     def quick(self, logs: np.ndarray) -> np.ndarray:
-        """The displacements in single precision and a wider window, with the time step of `at`, shape [N, M, 3]."""
+        """Return the displacements in single precision and a wider window, with the time step of `at`, shape [N, M,
+        3]."""
         # Window error of simulations that a whole dent's posterior is sampled with.
         mechanics = dataclasses.replace(self.mechanics, window_error=max(self.mechanics.window_error, 1e-5))
-        path = self._path(logs, mechanics, self.longest, np.float32)
-        return self._shown(path, self.steps + 1, mechanics, logs)
+        return self._shown(self._path(logs, mechanics, self.longest, np.float32), self.steps + 1, mechanics, logs)
 
     def _shown(self, path: np.ndarray, after: np.ndarray, mechanics: Mechanics, logs: np.ndarray) -> np.ndarray:
-        """A path [T, M, 3] at the instants, which without delays are after so many of its steps [N]: [N, M, 3]."""
+        """Return a path [T, M, 3] at the instants, shape [N, M, 3]; without delays they come after so many of its steps
+        [N]."""
         if not self.within:
             return path[after - 1].astype(np.float64)
         return between_steps(path, mechanics.time_step, self.since(logs))[0]
 
     def coarse_path(self, logs: np.ndarray) -> tuple[np.ndarray, int]:
-        """Displacements after every coarse step since the press began [T, M, 3], and how many steps one of them is."""
+        """Return displacements after every coarse step since the press began [T, M, 3], and how many steps one of them
+        is."""
         mechanics, ratio = self.coarse_mechanics()
         return self._path(logs, mechanics, -(-self.longest // ratio), np.float32), ratio
 
@@ -182,7 +184,7 @@ class PressMotion:
         return type(self)(self.contact, self.coarse_mechanics()[0], self.vertices, self.times, self.within)
 
     def coarse_mechanics(self) -> tuple[Mechanics, int]:
-        """The simulator with a coarse time step, and how many of its own steps that is."""
+        """Return the simulator with a coarse time step, and how many of its own steps that is."""
         # Time step of simulations without derivatives [s].
         ratio = max(1, round(0.005 / self.mechanics.time_step))
         if not self.within and ((self.steps + 1) % ratio).any():
@@ -196,11 +198,11 @@ class PressMotion:
 
 
 Kind = type[PressMotion]
-"""What is fitted of a press."""
+"""Class of the motion that is fitted."""
 
 
 def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is known after every step and is 0 at first, with its rate, between the steps: cubic through four of them.
+    """Interpolate a quantity that is 0 at first, and its rate, between time steps: cubic through four of them.
 
     Args:
         values: after every step, shape [T, ...], T at least 3.
@@ -213,7 +215,8 @@ def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tu
     place = np.clip(times / time_step, 0, len(values))
     first = np.clip(np.floor(place).astype(np.int64) - 1, 0, len(values) - 3)
     one, two, three = ((place - first)[:, None] - others for others in _OTHERS)
-    weights = np.stack([one * two * three, (one * two + two * three + three * one) / time_step], axis=1) / _SCALE
+    weights = np.stack([one * two * three, (one * two + two * three + three * one) / time_step], axis=1)
+    weights /= (np.arange(4.0) - _OTHERS).prod(axis=0)
     # After step i is values[i - 1]; at the beginning all is 0.
     steps = first[:, None] + np.arange(-1, 3)
     weights = np.where(steps[:, None] < 0, 0.0, weights)
@@ -223,7 +226,7 @@ def between_steps(values: np.ndarray, time_step: float, times: np.ndarray) -> tu
 
 
 def about_tissue(information: np.ndarray, prior: np.ndarray, kept: int = 3) -> np.ndarray:
-    """Information of (log k_s, log k_d, log |F|) alone, shape [3, 3], where other parameters are unknown.
+    """Return the information of (log k_s, log k_d, log |F|) alone, shape [3, 3], where other parameters are unknown.
 
     Args:
         information: of all parameters, those three first, shape [D, D].

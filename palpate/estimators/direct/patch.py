@@ -1,9 +1,8 @@
-"""How vertices move under a press on a patch, in any direction, whose force rises, holds and falls.
+"""Motion of vertices under a press on a patch, in any direction, whose force rises, holds and falls.
 
-Besides φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, where its
-middle lies next to the contact vertex, over which share of the time under load the force rises, and over which share of
-the rest it falls (no fall where no release was observed: then the first share is of the time that was observed).
-`PressShape` says what they mean.
+Besides φ and the delays (`estimators.direct.motion`) the parameters are the patch's radius, as a logarithm, its middle
+next to the contact vertex, and the shares of rise and fall. The first share is of the time under load, the second of
+the rest; without a release there is no fall. `PressShape` defines them.
 """
 
 import math
@@ -15,12 +14,6 @@ from palpate.physics.load import Press, PressShape
 
 RADII = (1.0, 8.0)
 """Radii of patches [grid pixels]: at the least it is one vertex, and dents are visible as far as 7."""
-ASTRAY = 2.5
-"""Largest distance of a patch's middle from the contact vertex along an axis [grid pixels]."""
-MOST_LEAN = 0.85
-"""Largest share of the force along the surface to that along the normal, along an axis: 40 degrees."""
-STEPS = np.array([0.02, 0.05, 0.05, 0.02, 0.02, 0.02, 0.02])
-"""Differences that give the derivatives by these parameters: small against the bounds, large against rounding."""
 
 
 class PatchMotion(PressMotion):
@@ -28,34 +21,34 @@ class PatchMotion(PressMotion):
     right, lean downwards, rise, fall."""
 
     starts = 8
-    """Wide dents are deep, and from a start that is off pixels seem to show other tissue than they do."""
+    """Number of candidates; wide dents are deep, and from a bad start pixels seem to show other tissue."""
     looks = 4
-    """With two an exact depth-change sequence of an over-damped press was left with a seventh of its fall wrong."""
+    """Number of decisions at the best fit; two left a seventh of the fall of an over-damped press wrong."""
     parts = 3
-    """Whole pixels jump from patch to patch at a dent's wall, many at once, and that looks like another course of the
-    force: from the truth itself fits of two clips ended 1.2 to 2.9 bounds off in the ratios, 0.1 to 1.2 with parts."""
+    """Parts of a pixel along an axis. Whole pixels jump between patches at a dent's wall, which resembles another force
+    profile: the ratios of two clips were off by up to 2.9 bounds, with parts by 1.2."""
     astray, uneven = 0.02, 0.008
-    """Vertices' patches end in steps, and whole pixels show these. Measured at the true motion of 13 synthetic clips of
-    854×480: 0.020 and 0.022 grid pixels aside, 0.8 % too deep or too shallow."""
+    """Errors of the simulated dent, sideways [grid px] and relative in depth, from the steps at the ends of vertices'
+    patches; measured at the true motion of 13 synthetic clips."""
     sampled = False
-    """In ten dimensions they shrink to a few: one of ten clips got a sixth of the bound for its standard deviation, and
-    an error of 15 of these. The optima's own covariance counts instead."""
+    """False, as draws in ten dimensions shrink to a few and underestimate standard deviations; the optima's covariance
+    counts instead."""
 
     @property
     def centred(self) -> np.ndarray:
         """Centred parameters as in `PressMotion`; the patch's place and the lean among them."""
-        first = self.delays.stop
-        return np.concatenate([super().centred, first + np.arange(1, 5)])
+        return np.concatenate([super().centred, self.delays.stop + np.arange(1, 5)])
 
     def box(self, tissue: np.ndarray) -> np.ndarray:
         """Return the box, as in `PressMotion`, with the shape's parameters behind."""
-        ends = [np.log(RADII), *2 * [(-ASTRAY, ASTRAY)], *2 * [(-MOST_LEAN, MOST_LEAN)], (0.0, 1.0)]
+        # A patch's middle lies up to 2.5 grid pixels from the vertex along an axis, a force leans by up to 40 degrees.
+        ends = [np.log(RADII), *2 * [(-2.5, 2.5)], *2 * [(-0.85, 0.85)], (0.0, 1.0)]
         if self.contact.released:
             ends.append((0.0, 1.0))
         return np.hstack([super().box(tissue), np.array(ends).T])
 
     def shape(self, logs: np.ndarray, longer: float = 0.0) -> PressShape:
-        """The shape of all parameters [D]; `longer` as in `load`."""
+        """Return the shape of all parameters [D]; `longer` as in `load`."""
         radius, row, column, right, down, *shares = logs[self.delays.stop :].tolist()
         seconds = self._seconds(logs, longer)
         rise, fall = (*shares, 0.0)[:2]
@@ -63,13 +56,13 @@ class PatchMotion(PressMotion):
         return PressShape(math.exp(radius), (row, column), rise, fall, (right, down))
 
     def parameters(self, logs: np.ndarray, shape: PressShape) -> np.ndarray:
-        """All parameters [D] from φ and the delays, and a shape."""
+        """Return all parameters [D] from φ and the delays, and a shape."""
         seconds = self._seconds(logs)
         courses = [shape.rise / seconds, shape.fall / (seconds - shape.rise)][: 1 + self.contact.released]
         return np.concatenate([logs, [math.log(shape.radius)], shape.offset, shape.lean, courses])
 
     def _seconds(self, logs: np.ndarray, longer: float = 0.0) -> float:
-        """What the shares of rise and fall are of [s]."""
+        """Return the time of which rise and fall are shares [s]."""
         return self.loaded(logs, longer) if self.contact.released else float(self.times[-1])
 
     def load(self, logs: np.ndarray, time_step: float, steps: int, longer: float = 0.0) -> Press:
@@ -79,10 +72,12 @@ class PatchMotion(PressMotion):
         return shape.press(contact.mesh, contact.vertex, contact.direction, seconds, time_step, steps)
 
     def _others(self, logs: np.ndarray) -> np.ndarray:
-        """By the shape's parameters, differences towards the middle of their range."""
+        """Return derivatives by the shape's parameters: differences towards the middle of their range."""
         middles = self.box(np.zeros((2, 3))).mean(axis=0)
         here, found = self.quick(logs), []
-        for index, size in enumerate(STEPS[: len(logs) - self.delays.stop], self.delays.stop):
+        # Small against the bounds, large against rounding.
+        steps = (0.02, 0.05, 0.05, 0.02, 0.02, 0.02, 0.02)
+        for index, size in enumerate(steps[: len(logs) - self.delays.stop], self.delays.stop):
             changed = np.array(logs, np.float64)
             size = size if logs[index] < middles[index] else -size
             changed[index] += size

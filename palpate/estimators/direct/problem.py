@@ -15,16 +15,12 @@ from palpate.physics.identifiability import fisher_information
 from palpate.physics.likelihood import LeastSquares
 from palpate.physics.mechanics import Mechanics
 
-CANDIDATES = 128
-"""Points of a Sobol sequence over the box among which the starts are chosen: an under-damped response has many local
-optima, one for every number of swings."""
 STARTS = 6
 """Fits, begun at the candidates that explain the data best."""
 DELAYS = np.linspace(-1, 1, 17)
 """Delays that are tried for every start, in units of the largest."""
 APART = 0.1
 """Starts are farther apart than this share of the box, in stiffness or damping: neighbours end in the same optimum."""
-TOLERANCE = 1e-6
 
 
 def dent_problem(
@@ -34,7 +30,8 @@ def dent_problem(
     noise: float | None = None,
     kind: Kind = PressMotion,
 ) -> JointLikelihood:
-    """A depth-change sequence under all parameters of a press; what the pixels show must be decided first (`look`).
+    """Return a depth-change sequence under all parameters of a press; what the pixels show must be decided first
+    (`look`).
 
     Args:
         contact: with a depth-change sequence of one frame or more.
@@ -48,7 +45,7 @@ def dent_problem(
 
 
 def chosen_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
-    """Parameters with the smallest misfits among many, their delays in the middle, shape [at most STARTS, D].
+    """Return parameters with the smallest misfits among many, their delays in the middle, shape [at most STARTS, D].
 
     Observations change about in proportion to the force, so each candidate is tried with the force that suits it best.
     """
@@ -65,8 +62,11 @@ def chosen_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:
     return apart(np.array(tried), np.array(misfits), *box, STARTS)
 
 
-def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = CANDIDATES) -> np.ndarray:
-    """Points of a Sobol sequence over a box of D parameters, a power of two of them, shape [count, D]."""
+def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = 128) -> np.ndarray:
+    """Return points of a Sobol sequence over a box of D parameters, a power of two of them, shape [count, D].
+
+    So many since an under-damped response has many local optima, one for every number of swings.
+    """
     from scipy.stats.qmc import Sobol  # takes seconds to load
 
     return low + Sobol(len(low), rng=0).random(count) * (high - low)
@@ -75,7 +75,7 @@ def evenly_spread(low: np.ndarray, high: np.ndarray, count: int = CANDIDATES) ->
 def suiting_forces(
     paths: np.ndarray, observed: np.ndarray, forces: np.ndarray, low: float, high: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Forces with which motions explain an observation best, as they are about proportional to them.
+    """Return forces with which motions explain an observation best, as they are about proportional to them.
 
     Args:
         paths: C motions, shape [C, ...]; what isn't a number counts for nothing.
@@ -94,7 +94,8 @@ def suiting_forces(
 
 
 def apart(logs: np.ndarray, misfits: np.ndarray, low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
-    """Those of points [C, D] with the smallest misfits [C] that lie APART in the box, shape [at most `count`, D]."""
+    """Return the points [C, D] with the smallest misfits [C] that lie `APART` in the box, shape [at most `count`,
+    D]."""
     chosen: list[int] = []
     for index in np.argsort(misfits):
         distances = np.abs(logs[chosen] - logs[index])[:, :2] / (high - low)[:2]
@@ -119,7 +120,7 @@ class Optimum(NamedTuple):
 def find_optimum(
     problem: LeastSquares, start: np.ndarray, box: np.ndarray, evaluations: int = 60, fall: float = 0.0
 ) -> Optimum:
-    """The optimum that a fit from φ = `start` [3] within the box [2, 3] ends in, or how far it comes.
+    """Find the optimum that a fit from φ = `start` [3] within the box [2, 3] ends in, or how far it comes.
 
     Args:
         problem: what is fitted.
@@ -131,28 +132,24 @@ def find_optimum(
     value = 0.5 * float(np.square(problem.residual(start)).sum()) if fall else 1.0
     end = least_squares(
         problem.residual, start, problem.jacobian, tuple(box), method="trf", x_scale="jac",
-        ftol=max(TOLERANCE, fall / max(value, fall)), xtol=TOLERANCE, gtol=TOLERANCE,
-        max_nfev=evaluations
+        ftol=max(1e-6, fall / max(value, fall)), xtol=1e-6, gtol=1e-6, max_nfev=evaluations
     )  # fmt: skip
     return Optimum(end.x, end.cost, fisher_information(end.jac, 1.0))
 
 
-Combined = tuple[np.ndarray, np.ndarray, Optimum]
-"""What `combine` gives."""
-
-
 def evidence_shares(optima: Sequence[Optimum], prior: np.ndarray) -> np.ndarray:
-    """Evidence of optima by Laplace's method relative to the likeliest, shape [O]; arguments as in `combine`."""
+    """Return the evidence of optima by Laplace's method relative to the likeliest, shape [O]; arguments as in
+    `combine`."""
     volumes = [-0.5 * np.linalg.slogdet(optimum.information + prior)[1] for optimum in optima]
     logs = np.array([volume - optimum.cost for volume, optimum in zip(volumes, optima, strict=True)])
     return np.exp(logs - logs.max())
 
 
-def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
-    """Mean [3] and covariance [3, 3] of φ over several optima, and the likeliest of them.
+def combine(optima: Sequence[Optimum], prior: np.ndarray) -> tuple[np.ndarray, np.ndarray, Optimum]:
+    """Return mean [3] and covariance [3, 3] of φ over several optima, and the likeliest of them.
 
-    Each optimum stands for a normal distribution whose share is its evidence by Laplace's method, exp(-χ²/2) times the
-    volume of φ that explains the data as well: a slightly worse fit of many φ can be likelier than the best of few.
+    Each optimum stands for a normal distribution whose share is its evidence by Laplace's method: exp(-χ²/2) times the
+    volume of φ that explains the data as well. A slightly worse fit of many φ can be likelier than the best of few.
 
     Args:
         optima: at least one.
@@ -171,7 +168,7 @@ def combine(optima: Sequence[Optimum], prior: np.ndarray) -> Combined:
 
 
 def distinct(optima: Sequence[Optimum]) -> list[Optimum]:
-    """The optima without those that another start found as well, the best first."""
+    """Return the optima without those that another start found as well, the best first."""
     kept: list[Optimum] = []
     for optimum in sorted(optima, key=lambda item: item.cost):
         # Optima nearer to each other than this in every log-parameter are one.

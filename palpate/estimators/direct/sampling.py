@@ -1,9 +1,9 @@
 """Mean and covariance of a posterior in a box, by importance sampling around its known modes.
 
 A normal distribution at the optimum (Laplace) is wrong where the posterior is a curved ridge, has several modes, or is
-cut off by the box. Here points are drawn from a mixture of Student distributions, weighed by posterior over mixture
-(deterministic-mixture weights, Owen & Zhou 2000, of all rounds together), and the mixture is moved to where the
-weights are (population Monte Carlo, Cappé et al. 2008). Points come from a Sobol sequence, so nothing is random.
+cut off. Points are drawn from a mixture of Student distributions and weighed by posterior over the mixture of all
+rounds (Owen & Zhou 2000). The mixture is then moved to where the weights are (population Monte Carlo, Cappé et al.
+2008). Points come from a Sobol sequence, so nothing is random.
 """
 
 from __future__ import annotations
@@ -23,8 +23,6 @@ ENOUGH = 100.0
 """Effective draws after which no further round is made: a mean is then within a tenth of a standard deviation."""
 ROUNDS = (2, 8)
 """Fewest and most rounds: the first one's mixture is a guess."""
-KEPT = 0.1
-"""Share of a component's former covariance in the moved one, so that few draws don't make it flat."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class Mixture:
     """Scale matrices (the covariance is FREEDOM/(FREEDOM - 2) times as large), shape [K, D, D]."""
 
     def draw(self, points: np.ndarray) -> np.ndarray:
-        """Points of the unit cube, shape [n, D + 2], as points of the mixture, shape [n, D]."""
+        """Return points of the mixture, shape [n, D], for points of the unit cube, shape [n, D + 2]."""
         component = np.searchsorted(np.cumsum(self.shares)[:-1], points[:, 0], side="right")
         radial = FREEDOM / (2 * gammaincinv(FREEDOM / 2, points[:, 1]))  # freedom over a chi-square variable
         normal = ndtri(points[:, 2:]) * np.sqrt(radial)[:, None]
@@ -58,7 +56,7 @@ class Mixture:
         return shares + constant - log_volume - (FREEDOM + size) / 2 * np.log1p(squares / FREEDOM)
 
     def moved(self, points: np.ndarray, weights: np.ndarray) -> Mixture:
-        """The mixture after one step towards a weighted sample [n, D], [n]; the weights sum to 1."""
+        """Return the mixture after one step towards a weighted sample [n, D], [n]; the weights sum to 1."""
         parts = self.log_densities(points)
         parts = weights[:, None] * np.exp(parts - logsumexp(parts, axis=1, keepdims=True))
         shares = parts.sum(axis=0)
@@ -69,7 +67,8 @@ class Mixture:
         spreads = np.einsum("nk,nki,nkj->kij", parts, apart, apart)
         # Moved components are this much wider than the draws that they follow, in standard deviations.
         shape = 1.2**2 * (FREEDOM - 2) / FREEDOM
-        return Mixture(shares, means, (1 - KEPT) * shape * spreads + KEPT * self.scales[used])
+        # A tenth of a component's former covariance stays, so that few draws don't make it flat.
+        return Mixture(shares, means, 0.9 * shape * spreads + 0.1 * self.scales[used])
 
 
 @dataclass(frozen=True)
@@ -98,15 +97,14 @@ class Draws:
         return np.einsum("n,ni,nj->ij", self.weights, apart, apart)
 
     def thinned(self, count: int) -> np.ndarray:
-        """`count` equally weighted points [count, D], evenly spread along the sample's widest direction."""
+        """Return `count` equally weighted points [count, D], evenly spread along the sample's widest direction."""
         order = np.argsort(self.points @ np.linalg.eigh(self.covariance)[1][:, -1])
-        places = (np.arange(count) + 0.5) / count
-        chosen = np.searchsorted(np.cumsum(self.weights[order]), places)
+        chosen = np.searchsorted(np.cumsum(self.weights[order]), (np.arange(count) + 0.5) / count)
         return self.points[order[np.minimum(chosen, len(order) - 1)]]
 
 
 def sample_posterior(log_likelihood: Callable[[np.ndarray], np.ndarray], box: np.ndarray, start: Mixture) -> Draws:
-    """Weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
+    """Return weighted draws from a likelihood times a uniform prior; the caller judges whether enough of them count.
 
     Args:
         log_likelihood: of points inside the box, shapes [n, D] to [n], up to a constant.
@@ -133,7 +131,7 @@ def sample_posterior(log_likelihood: Callable[[np.ndarray], np.ndarray], box: np
 
 
 def _flattened(weights: np.ndarray) -> np.ndarray:
-    """Weights [N] to the largest power up to 1 that makes 40 of them count, or to the smallest one tried.
+    """Return weights [N] to the largest power up to 1 that makes 40 of them count, or to the smallest one tried.
 
     Where fewer count, a flattened posterior guides the mixture. Bounded errors cut jagged pieces out of a posterior,
     and a mixture that jumps to the first piece found misses the others.

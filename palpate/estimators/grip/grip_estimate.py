@@ -1,4 +1,4 @@
-"""What the motion around an instrument determines: the relative force of a pull, if a sheet explains the motion."""
+"""Relative force of a pull from the motion around an instrument, if a sheet explains that motion."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from palpate.physics.identifiability import LIMIT, NINETY
 LEAST_LEAD = 0.1
 """Least lead over the skill of a grip far from the instrument: any motion spreads smoothly."""
 HELD = 0.01
-"""Added to r·|1 - r| of a ratio r in `force_error`: the ratio of equal forces is uncertain, too."""
+"""Constant in `force_error`: the ratio of equal forces is uncertain, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class PullResult:
     """
 
     skill: float
-    """1 - error / motion in frames that were not fitted: 0 as if nothing moved, 1 = exact."""
+    """Skill, 1 - error / motion, in frames that were not fitted: 0 as if nothing moved, 1 = exact."""
     rival: float
     """Skill if the most moving tissue far from the instrument is taken as the grip instead; -∞ where none moves."""
     times: np.ndarray
@@ -34,7 +34,7 @@ class PullResult:
 
     @property
     def explained(self) -> bool:
-        """Whether the tissue moves with the instrument as a sheet would."""
+        """True if the tissue moves with the instrument as a sheet would."""
         return self.skill >= max(LEAST_SKILL, self.rival + LEAST_LEAD)
 
     @property

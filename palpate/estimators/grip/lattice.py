@@ -18,7 +18,7 @@ ALPHAS = np.geomspace(1e-3, 1.0, 14)
 PIECE = 7
 """Side of a piece of tissue over which the errors of the sheet are correlated, in spacings of the lattice."""
 BEYOND = 5
-"""How far the sheet continues beyond the points, in spacings of the lattice."""
+"""Distance by which the sheet continues beyond the points, in spacings of the lattice."""
 LEAST_MOTION = 1.0
 """Root mean square displacement below which a frame shows no motion [px]."""
 LEAST_GRIPPED, LEAST_AROUND = 20, 50
@@ -45,7 +45,7 @@ class GripFrame:
 
     @property
     def moves(self) -> bool:
-        """Whether enough points are visible, and both grip and tissue move."""
+        """True if enough points are visible, and both grip and tissue move."""
         around = self.around
         if self.gripped.sum() < LEAST_GRIPPED or around.sum() < LEAST_AROUND:
             return False
@@ -53,7 +53,7 @@ class GripFrame:
 
 
 def length(vectors: np.ndarray) -> float:
-    """Root mean square length of vectors [N, 2]."""
+    """Return the root mean square length of vectors [N, 2]."""
     return float(np.sqrt(np.square(vectors).sum(axis=1).mean()))
 
 
@@ -73,7 +73,8 @@ class SheetFit:
     """Reaction at the grip with the background fitted, shape [A, T, 2] [spring stiffness × px]."""
 
     def skill(self, half: int) -> float:
-        """Mean of 1 - error / motion, root mean squares, from frame `half` on; α is the likeliest by the frames before.
+        """Return mean of 1 - error / motion, root mean squares, from frame `half` on; α is the likeliest by the frames
+        before.
 
         0 = as if nothing moved, 1 = exact.
         """
@@ -81,7 +82,8 @@ class SheetFit:
         return float(np.mean(1 - np.sqrt(self.squares[best, half:] / self.motion[half:])))
 
     def relative_force(self) -> tuple[np.ndarray, np.ndarray]:
-        """Force along the last frame's direction over the last frame's, and its standard deviation over α, [T] each."""
+        """Return the force along the last frame's direction over the last frame's, and its standard deviation over α,
+        [T] each."""
         last = self.force[:, -1:]
         ratio = (self.force * last).sum(axis=2) / np.square(last).sum(axis=2)
         weights = posterior(self.refitted, self.counts)
@@ -90,7 +92,7 @@ class SheetFit:
 
 
 def posterior(squares: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Probability of each α, shape [A], flat in log α before; the errors' size is unknown in every frame.
+    """Return the probability of each α, shape [A], flat in log α before; the errors' size is unknown in every frame.
 
     A piece of tissue has two independent errors, the same in all frames: what a sheet can't explain is smooth, and
     stays.
@@ -130,8 +132,7 @@ def fit_sheets(
         # A foundation that moves affinely carries the sheet along, but for what the grip holds back.
         follows = terms - found.displacement[:count, -3:]
         off = around - mask * pulled
-        gram = np.einsum("tn,nk,nl->tkl", visible, follows, follows)
-        fitted = np.linalg.solve(gram, follows.T @ off)
+        fitted = np.linalg.solve(np.einsum("tn,nk,nl->tkl", visible, follows, follows), follows.T @ off)
         for errors, affine in ((squares, background), (refitted, fitted)):
             errors.append(np.square(off - mask * (follows @ affine)).sum(axis=(1, 2)))
         reaction = found.reaction.sum(axis=0)
@@ -141,7 +142,7 @@ def fit_sheets(
 
 
 def continued(points: np.ndarray, spacing: int, beyond: int) -> np.ndarray:
-    """Nodes of the sheet, shape [M, 2] [px]: the points [N, 2], then the tissue that is not visible.
+    """Return nodes of the sheet, shape [M, 2] [px]: the points [N, 2], then the tissue that is not visible.
 
     Tissue goes on behind the instrument and beyond the picture; a sheet that ends there needs too little force.
 
@@ -157,7 +158,8 @@ def continued(points: np.ndarray, spacing: int, beyond: int) -> np.ndarray:
 
 
 def lattice_springs(points: np.ndarray, spacing: int) -> np.ndarray:
-    """Pairs of neighbours on a square grid, diagonals included, shape [S, 2]; points [N, 2] (column, row) [px]."""
+    """Return pairs of neighbours on a square grid, diagonals included, shape [S, 2]; points [N, 2] (column, row)
+    [px]."""
     cells = np.rint(points / spacing).astype(np.int64)
     cells -= cells.min(axis=0)
     number = np.full(cells.max(axis=0) + 1, -1)

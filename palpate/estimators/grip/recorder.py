@@ -1,4 +1,4 @@
-"""Gathers the motion of tissue points around an instrument over a run of contact, and fits the sheet to it.
+"""Recorder of tissue points around an instrument over a run of contact, and the fit of a sheet to their motion.
 
 Rest is the run's first frame: how the tissue was stretched before is unknown.
 """
@@ -78,8 +78,7 @@ class GripRecorder:
         visible = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
         gripped = visible & (self._follower.distance < DRIVEN)
         if gripped.sum() < LEAST_GRIPPED:
-            problem = f"{gripped.sum()} tissue points at the instrument are seen in all frames;"
-            raise NoEstimate(f"{problem} {LEAST_GRIPPED} are needed.")
+            raise NoEstimate(f"{gripped.sum()} points at the tool are seen in all frames; {LEAST_GRIPPED} are needed.")
         terms = affine_terms(points)
         # Known at all points that are seen, and affine.
         background = np.linalg.lstsq(terms[visible], np.hstack([*(moved - own)[:, visible]]), rcond=None)[0]
@@ -92,11 +91,11 @@ class GripRecorder:
         # regions --split validation --clips 7 --seed 61001 --output OUT`.
         force_sd = np.hypot(spread, 0.32 * force_error(force, found))
         force_sd[-1] = 0.0  # the last frame's ratio is 1 by definition
-        rival = self._rival_skill(visible, int(gripped.sum()), own)
-        return PullResult(found, rival, times, force, force_sd)
+        return PullResult(found, self._rival_skill(visible, int(gripped.sum()), own), times, force, force_sd)
 
     def _rival_skill(self, seen: np.ndarray, count: int, own: np.ndarray) -> float:
-        """Skill of a grip around the point that moves most far from the tool; -∞ where too little moves there.
+        """Return the skill of a grip around the point that moves most far from the tool; -∞ where too little moves
+        there.
 
         Args:
             seen: points visible in all frames, shape [N], bool.
@@ -118,5 +117,4 @@ class GripRecorder:
         if half < LEAST_FRAMES:
             return -math.inf
         used = moving[np.linspace(0, len(moving) - 1, count).round().astype(int)]
-        still = np.zeros((len(used), 3, 2))
-        return fit_sheets(points, self._follower.spacing, gripped, used, still).skill(half)
+        return fit_sheets(points, self._follower.spacing, gripped, used, np.zeros((len(used), 3, 2))).skill(half)

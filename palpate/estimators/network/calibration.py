@@ -1,4 +1,4 @@
-"""From a trained contact posterior to the model that `infer.py` uses: exported, and calibrated on validation clips.
+"""Export of a trained contact posterior for `infer.py`, and calibration of its intervals on validation clips.
 
     python -m palpate.estimators.network.calibration --weights runs/contact/posterior.pt \
         --output runs/contact/uncalibrated.onnx
@@ -48,12 +48,9 @@ from palpate.models.onnx_export import calibrate, export
 from palpate.models.onnx_session import PosteriorModel
 from palpate.models.posterior import ContactPosterior
 
-RESULTS, RECORD = "results.jsonl", "run.json"
-"""Files that the benchmark writes into its folder."""
-
 
 def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
-    """Widths with which the network's intervals have the right coverage, over all suites together.
+    """Return widths with which the network's intervals have the right coverage, over all suites together.
 
     Args:
         rows: results of `benchmarks.recovery`.
@@ -61,7 +58,7 @@ def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
     Raises:
         ValueError: too few results.
     """
-    rows = [row for row in rows if row["estimator"] == "network" and row["status"] == "ok"]
+    rows = [row for row in rows if (row["estimator"], row["status"]) == ("network", "ok")]
     rows = [row for row in rows if row.get("covariance") is not None]
     estimates, truths = (np.log(np.abs([row[name] for row in rows])).reshape(-1, 3) for name in ("estimate", "theta"))
     covariances = np.array([row["covariance"] for row in rows]).reshape(-1, 3, 3)
@@ -81,7 +78,7 @@ def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str =
     Raises:
         ValueError: no record, another split than validation, other frames, or another file.
     """
-    record = read_mapping(folder / RECORD, "a record of the benchmark")
+    record = read_mapping(folder / "run.json", "a record of the benchmark")
     for name, value in {"split": "validation", "seen": seen}.items():
         if record.get(name) != value:
             remedy = f"with --{name} {value}" if value else f"without --{name}"
@@ -96,7 +93,7 @@ def check_record(folder: Path, model_sha256: str, seen: str | None, onset: str =
 
 
 def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, onset: str = STAMP) -> list[dict]:
-    """Results in some folders, each checked by `check_record`, whose arguments these are.
+    """Return results in some folders, each checked by `check_record`, whose arguments these are.
 
     Raises:
         ValueError: as `check_record` does, or results can't be read.
@@ -104,16 +101,16 @@ def results_of(folders: Sequence[Path], model_sha256: str, seen: str | None, ons
     rows = []
     for folder in folders:
         check_record(folder, model_sha256, seen, onset)
+        results = folder / "results.jsonl"
         try:
-            # Largest size of a file of results.
-            rows += map(json.loads, read_file(folder / RESULTS, (2**27)).splitlines())
+            rows += map(json.loads, read_file(results, 2**27).splitlines())
         except (OSError, ValueError, RecursionError) as error:
-            raise ValueError(f"{folder / RESULTS} holds no results; run the evaluation into {folder} anew.") from error
+            raise ValueError(f"{results} holds no results; run the evaluation into {folder} anew.") from error
     return rows
 
 
 def metadata(weights: Path) -> dict[str, object]:
-    """Metadata for inference: how clips are prepared, the simulator and the admissible box.
+    """Return the metadata for inference: how clips are prepared, the simulator and the admissible box.
 
     Args:
         weights: file of the network's weights.
@@ -121,23 +118,20 @@ def metadata(weights: Path) -> dict[str, object]:
     settings = {"bounds": BOUNDS, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
     contact = {"features": FEATURES + SEQUENCE_FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE}
-    made = {
-        "motions": "simulated contacts (palpate.estimators.network.training)",
-        "weights_sha256": file_sha256(weights),
-    }
+    motions = "simulated contacts (palpate.estimators.network.training)"
     return {
         **{name: dataclasses.asdict(values) for name, values in settings.items()},
         "input": {"window": 1, "height": PREPARE.geometry.height, "width": PREPARE.geometry.width},
         "contact": contact | {"press_seconds": pressed},
         **{"observation": "trajectory", "preprocessing_version": PREPROCESSING_VERSION, "masks": "auto"},
         "depth": dataclasses.asdict(PREPARE.depth) | {"source": "auto"},
-        "training": made,
+        "training": {"motions": motions, "weights_sha256": file_sha256(weights)},
     }
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What is exported or calibrated."""
+    """Weights to export, or a model to calibrate."""
 
     output: Path
     """ONNX file to write"""
@@ -148,9 +142,9 @@ class Calibrated:
     validation: tuple[Path, ...] = ()
     """results of benchmarks.recovery --split validation with that file"""
     pressed: tuple[Path, ...] = ()
-    """the same, with --seen press"""
+    """results of benchmarks.recovery with --seen press"""
     between: tuple[Path, ...] = ()
-    """the same, with --suite late-onset --onset between"""
+    """results of benchmarks.recovery with --suite late-onset --onset between"""
 
     def __post_init__(self) -> None:
         """Raise a ValueError where options don't belong together."""
@@ -161,7 +155,7 @@ class Calibrated:
 
 
 def calibration_of(asked: Any) -> Calibration:
-    """Calibration from the results of the benchmark.
+    """Return the calibration from the results of the benchmark.
 
     Raises:
         ModelFileError: the file is no exported posterior.

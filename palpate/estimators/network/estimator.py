@@ -29,12 +29,9 @@ from palpate.physics.load import Press, held
 from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate
 
-FAST_EVERY = 3
-"""Interval between estimates of the rate fast, as in `PrepareSettings.every`."""
 TOO_EARLY = "The contact's tissue was not followed over two frames after its onset yet."
 NO_NOISE = "The depth's noise isn't known; prepare with geometry.smoothing above 0."
-UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise from it; intervals are widened."
-UNRESOLVED = "Depth shows the dent blurred, unlike in the network's training; use --estimator direct."
+UNEXPLAINED = "The model does not explain the motion, which lies {:.2g} times the noise off; intervals are inflated."
 TIME_TOLERANCE = 1e-6
 """Times that differ by less are equal [s]."""
 
@@ -60,7 +57,7 @@ class NetworkSettings(PressSettings, ModelSettings):
 
 
 class NetworkEstimator(ModelEstimator):
-    """Runs an exported contact posterior over prepared clips.
+    """Estimator that runs an exported contact posterior over prepared clips.
 
     Args:
         model: the exported network.
@@ -79,9 +76,8 @@ class NetworkEstimator(ModelEstimator):
         if model.inputs[CONTACT] != (FEATURES + SEQUENCE_FEATURES,):
             raise ModelFileError(f"{model.path} takes another contact's vector than this version has; train it anew.")
         self.settings = settings
-        self.press_seconds: tuple[float, float] = tuple(
-            model.metadata.get("contact", {}).get("press_seconds", (0.0, math.inf))
-        )
+        contact = model.metadata.get("contact", {})
+        self.press_seconds: tuple[float, float] = tuple(contact.get("press_seconds", (0.0, math.inf)))
         """Shortest and longest press that the network was trained on [s]."""
         self.force_seconds = min(self.press_seconds[1], self.mechanics.seconds)
 
@@ -92,16 +88,16 @@ class NetworkEstimator(ModelEstimator):
         return {"name": self.name, **{name: getattr(self.settings, name) for name in names}}
 
     def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Preparation as in the model's training, with the user's choices; in fewer frames by the rate fast."""
+        """Return preparation as in the model's training, with the user's choices; in fewer frames by the rate fast."""
         found = super().preparation(chosen)
-        return dataclasses.replace(found, every=FAST_EVERY) if self.settings.rate == "fast" else found
+        return dataclasses.replace(found, every=3) if self.settings.rate == "fast" else found
 
     def start(self, clip: ClipInfo) -> "NetworkSession":
         """Open a session."""
         return NetworkSession(self, clip)
 
     def as_trained(self, contact: Interaction) -> Interaction:
-        """The part of a contact's observation that resembles the training.
+        """Return the part of a contact's observation that resembles the training.
 
         The network was trained on presses of certain lengths, and on their beginnings. A longer press is cut to its
         beginning, a shorter one to its observation before the release.
@@ -120,7 +116,7 @@ class NetworkEstimator(ModelEstimator):
         return contact
 
     def judged(self, contact: Interaction, mechanics: Mechanics, within: float, *outputs: np.ndarray) -> PressResult:
-        """The estimate of a contact from the network's outputs, with how well it explains the motion.
+        """Return the estimate of a contact from the network's outputs, with how well it explains the motion.
 
         Args:
             contact: the observation.
@@ -136,7 +132,8 @@ class NetworkEstimator(ModelEstimator):
         known: dict[str, Any] = {"noise": noise, "misfit": misfit, "at_bound": at_bound, "information": information}
         known |= {"largest_misfit": largest_misfit(len(contact.observation))}
         known |= {"course": PressCourse(view_angle=view_angle(contact))}
-        known["refuted"] = UNRESOLVED if blurred else ""
+        sentence = "Depth shows the dent blurred, unlike in the network's training; use --estimator direct."
+        known["refuted"] = sentence if blurred else ""
         return PressResult(theta_of(mean), covariance, expected_information=np.linalg.inv(expected), **known)
 
 
@@ -153,7 +150,7 @@ class NetworkSession(RunSession):
         """Depth windows of the current run with their times since its onset [s], where the model takes windows."""
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
-        """The next frame.
+        """Take the next frame.
 
         Raises:
             ModelFileError: the network gives a number that is not finite.
@@ -172,7 +169,7 @@ class NetworkSession(RunSession):
         yield self._frame(frame, run, depth)
 
     def estimate(self, contact: Interaction, depth: np.ndarray | None) -> PressResult:
-        """Posterior of a contact from its observation.
+        """Return the posterior of a contact from its observation.
 
         Args:
             contact: as `NetworkEstimator.as_trained` gives it.
@@ -222,10 +219,9 @@ class NetworkSession(RunSession):
     def _lengths(
         self, found: PressResult, contact: Interaction, frame: PreparedFrame, builder: InteractionBuilder
     ) -> tuple[float | None, float | None]:
-        """Lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
+        """Return lengths of the simulated and of the observed displacement of the contact's tissue in this frame."""
         steps = round((frame.frame.time_s - builder.start) / self.mechanics.time_step)
-        moved = frame.track_position - builder.rest
-        observed = finite(float(np.linalg.norm(moved)))
+        observed = finite(float(np.linalg.norm(frame.track_position - builder.rest)))
         if steps == 0:
             return 0.0, observed
         if steps > self.mechanics.steps:
@@ -237,6 +233,6 @@ class NetworkSession(RunSession):
 
 
 def _doubts(found: PressResult) -> str:
-    """Sentences on why the estimate may be wrong."""
+    """Return sentences on why the estimate may be wrong."""
     doubt = "" if found.explained else found.refuted or UNEXPLAINED.format(found.misfit)
     return f"{doubt} {remark(found)}".strip()

@@ -1,7 +1,7 @@
 """Contact motions with the parameters that explain them: the data of the posterior's fine training stage.
 
-Every motion is explained once by least squares; around that fit its log likelihood is a known parabola, whatever noise,
-rounding or cut-off window is drawn in addition: errors, windows and missing depth changes cost no rollout.
+Every motion is explained once by least squares. Around that fit its log likelihood is a known parabola, whatever noise,
+rounding or window is drawn in addition, so these cost no rollout.
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 BOUNDS = RECOMMENDED
 """Admissible box of θ, and so the prior."""
 FRAME_S = 1 / FRAME_RATE
-"""Where instants aren't known, a press begins and ends at most this long before or after the time stamps [s]."""
+"""Largest distance of the press's beginning and end from their time stamps, where they aren't known [s]."""
 SCENES = SceneSettings(width=214, height=120)
 """Settings of the scenes from which contacts are drawn."""
 EXPLAINED = 2e-4
@@ -66,7 +66,7 @@ class DepthSequences:
 
 
 class Fitted(NamedTuple):
-    """What explains one contact; other arrays as in `Fits`, without N."""
+    """Parameters that explain one contact; other arrays as in `Fits`, without N."""
 
     logs: np.ndarray
     slopes: np.ndarray
@@ -81,7 +81,7 @@ class Fitted(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Fits(DepthSequences):
-    """N contacts with the PARAMETERS D that explain their motions, as arrays."""
+    """Arrays of N contacts with the PARAMETERS D that explain their motions."""
 
     motion: np.ndarray
     """Motion against the force's direction at the slots, without noise, shape [N, SLOTS] [scene units]."""
@@ -90,7 +90,7 @@ class Fits(DepthSequences):
     slopes: np.ndarray
     """Derivatives of the motion by these parameters at the slots, shape [N, SLOTS, D] [scene units]."""
     loaded: np.ndarray
-    """Whether a slot is under load by the time stamps, shape [N, SLOTS]."""
+    """Mask of the slots under load by the time stamps, shape [N, SLOTS]."""
     around: np.ndarray
     """`Surroundings.vector`, shape [N, 40]."""
     spacing: np.ndarray
@@ -111,20 +111,20 @@ class Fits(DepthSequences):
 
 
 def point_problem(contact: Interaction, within: float = 0.0) -> JointLikelihood:
-    """The motion of a contact's point under all parameters of a press; `within` as in `PressMotion`."""
-    return JointLikelihood(
-        [PointObservation(contact, NOMINAL_NOISE)], functools.partial(PressMotion, contact, MECHANICS, within=within)
-    )
+    """Return the motion of a contact's point under all parameters of a press; `within` as in `PressMotion`."""
+    motion = functools.partial(PressMotion, contact, MECHANICS, within=within)
+    return JointLikelihood([PointObservation(contact, NOMINAL_NOISE)], motion)
 
 
 def motion_slopes(problem: JointLikelihood, logs: np.ndarray) -> np.ndarray:
-    """Derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene units]."""
+    """Return derivatives of the motion against the force's direction by its parameters [D], shape [SLOTS, D] [scene
+    units]."""
     jacobian = NOMINAL_NOISE * problem.jacobian(logs).reshape(-1, 3, len(logs))
     return -np.einsum("tdp,d->tp", jacobian, problem.first.contact.direction)
 
 
 def _explained(problem: JointLikelihood, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """Parameters that explain a motion, from a start [3] or, where that fails, from several; and the RMS residual."""
+    """Fit a motion from a start [3] or, where that fails, from several; return the parameters and the RMS residual."""
     low, high = box = problem.motion.box(BOUNDS.log_box)
 
     def fitted(begin: np.ndarray) -> tuple[float, np.ndarray]:
@@ -144,7 +144,7 @@ CONTACTS_A_SCENE = 8
 
 
 def scene_contacts(task: tuple[SceneSettings, int, float]) -> list[SimulatedContact]:
-    """Contacts of a scene by its settings, seed and `within`; here, where worker processes load no torch."""
+    """Draw contacts of a scene by its settings, seed and `within`; here, where worker processes load no torch."""
     settings, seed, within = task
     return draw_contacts(settings, seed, CONTACTS_A_SCENE, MECHANICS.time_step, within, sequence=True)
 
@@ -171,14 +171,14 @@ def fit_sequence(task: tuple[Interaction, np.ndarray, float]) -> Fitted:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """Values [..., 3] padded by zeros for known delays, or values [..., 5] as they are, shape [..., 5]."""
+    """Return values [..., 3] padded by zeros for known delays, or values [..., 5] as they are, shape [..., 5]."""
     return np.concatenate([values, np.zeros((*values.shape[:-1], PARAMETERS - values.shape[-1]))], axis=-1)
 
 
 NOISE = (3e-4, 6e-3)
 """σ is drawn log-uniformly from this range [scene units]."""
-ROUNDING_SHARE, LEVEL = 0.25, 1 / 255
-"""Share of samples whose depth is rounded instead, as 8 bits do, and the rounding's step [scene units]."""
+LEVEL = 1 / 255
+"""Step of depth that is rounded to 8 bits [scene units]."""
 ROUNDING_NOISE = LEVEL / math.sqrt(12)
 """Standard deviation of the rounding error [scene units]."""
 REST_SHARE = 0.1
@@ -190,14 +190,14 @@ DELAY_RANGE = 2.0
 
 
 def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of observed motions, shape [B, SLOTS], and the stated noise level of each, [B] [scene units].
+    """Draw errors of observed motions, shape [B, SLOTS], and the stated noise level of each, [B] [scene units].
 
     A part of the samples is rounded like 8-bit depth, the others have Gaussian noise. The rest position has an error of
     its own: it is no single rounded depth, but comes from a surface through many.
     """
     count = len(motion)
     noise = np.exp(generator.uniform(*np.log(NOISE), size=count))
-    rounded = generator.random(count) < ROUNDING_SHARE
+    rounded = generator.random(count) < 0.25  # share of the samples
     noise[rounded] = ROUNDING_NOISE
     error = noise[:, None] * generator.normal(size=motion.shape)
     depth = motion + generator.uniform(0, LEVEL, (count, 1))
@@ -206,7 +206,7 @@ def draw_errors(motion: np.ndarray, generator: np.random.Generator) -> tuple[np.
 
 
 def draw_known(loaded: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Which slots are observed, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
+    """Draw which slots are observed, shape [B, SLOTS]: all, those up to one under the tool, or the first few.
 
     Args:
         loaded: whether a slot is under load, shape [B, SLOTS].
@@ -233,7 +233,7 @@ class Drawn:
 
 
 def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Drawn:
-    """Contacts of the fits with new errors.
+    """Draw contacts of the fits with new errors.
 
     Args:
         fits: contacts with the parameters that explain them.
@@ -259,19 +259,18 @@ def draw_observed(fits: Fits, count: int, generator: np.random.Generator) -> Dra
     within = fits.within[index]
     along = (motion + error) / spacing[:, None]
     amounts = (fits.amounts[index] + amount_errors) * known[..., None]
-    features = [
-        join_features(along, known, loaded * known, fits.around[index], spacing, noise),
-        join_sequence_features(amounts, spacing, noise, within, with_sequence),
-    ]
+    point_features = join_features(along, known, loaded * known, fits.around[index], spacing, noise)
+    sequence = join_sequence_features(amounts, spacing, noise, within, with_sequence)
     logs = fits.logs[index]
     information, pull = without_delays(information, pull, logs[:, 3:])
-    return Drawn(np.concatenate(features, axis=1), logs[:, :3], information, pull)
+    return Drawn(np.concatenate([point_features, sequence], axis=1), logs[:, :3], information, pull)
 
 
 def draw_sequence_errors(
     sequences: DepthSequences, index: np.ndarray, noise: np.ndarray, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest surface's.
+    """Draw errors of depth-change sequences: noise, or rounding where the noise is that of rounding, and the rest
+    surface's.
 
     Args:
         sequences: all depth-change sequences.
@@ -297,11 +296,10 @@ def draw_sequence_errors(
         side = math.isqrt(change.shape[2])
         # Largest slope of the resting tissue whose depth is rounded [scene units a pixel].
         slopes = generator.uniform(-1, 1, (2, len(rounded), 1)).astype(np.float32) * 0.004
-        places = np.mgrid[:side, :side].reshape(2, 1, -1)
-        depth = (
-            change + (np.float32(LEVEL) * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0))[:, None]
-        )
-        error = np.nan_to_num(np.rint(depth / np.float32(LEVEL)) * np.float32(LEVEL) - depth)
+        level, places = np.float32(LEVEL), np.mgrid[:side, :side].reshape(2, 1, -1)
+        offset = level * generator.random((len(rounded), 1)) + (slopes * places).sum(axis=0)
+        depth = change + offset[:, None]
+        error = np.nan_to_num(np.rint(depth / level) * level - depth)
         part = factors[rounded]
         mixed = (error @ shapes.astype(np.float32))[..., None]
         amounts[rounded] = (part @ (part.transpose(0, 1, 3, 2) @ mixed))[..., 0]
@@ -312,7 +310,8 @@ def draw_sequence_errors(
 
 @functools.cache
 def smooth_share() -> np.ndarray:
-    """Factor of the covariance that the rest surface's error has in the shapes' amounts, [SHAPES, SHAPES] [σ]."""
+    """Return the factor of the covariance that the rest surface's error has in the shapes' amounts, [SHAPES, SHAPES]
+    [σ]."""
     smooth = dent_shapes().T @ smooth_errors()
     return np.linalg.cholesky(smooth @ smooth.T + 1e-12 * np.eye(SHAPES))
 
@@ -320,7 +319,8 @@ def smooth_share() -> np.ndarray:
 def sequence_information(
     slopes: np.ndarray, factors: np.ndarray, errors: np.ndarray, noise: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Information [B, D, D] and pull [B, D] of depth-change sequences; slots share the rest surface's error only.
+    """Return the information [B, D, D] and pull [B, D] of depth-change sequences; slots share the rest surface's error
+    only.
 
     Args:
         slopes, factors: those of `DepthSequences`, of B sequences.
@@ -338,7 +338,7 @@ def sequence_information(
 
 
 def without_delays(information: np.ndarray, pull: np.ndarray, delays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Information [B, 3, 3] and pull [B, 3] of φ where the delays are unknown within their range.
+    """Return the information [B, 3, 3] and pull [B, 3] of φ where the delays are unknown within their range.
 
     Args:
         information, pull: those of all parameters, shapes [B, D, D] and [B, D].

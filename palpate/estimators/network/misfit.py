@@ -1,4 +1,4 @@
-"""How far the observation of a contact lies from the simulated motion, in standard deviations, by one rollout.
+"""Distance of a contact's observation from the simulated motion, in standard deviations, by one rollout.
 
 Where a pixel of the grid is one of the picture, the contact's own point is compared. Where it is the mean of several,
 it doesn't show the full depth of a dent's bottom, which is no wider; there the pixels around it are compared, each with
@@ -22,16 +22,10 @@ from palpate.physics.mechanics import Mechanics, theta_of
 from palpate.physics.msd.simulation import simulate_tangent
 
 LARGEST_MISFIT = 1.5
-"""A motion farther from the simulated one than this many σ is unlike those of the training, and the network's
-covariance means nothing: that of a noise as large as the misfit, within the box, is added."""
+"""Largest misfit [σ] of motions like those of the training. Beyond it the network's covariance is inflated by that of a
+noise as large as the misfit, within the box."""
 TAIL_PROBABILITY = 3.5e-4
 """Probability that noise alone takes 25 observations so far away; fewer may lie farther."""
-PIXEL_RADIUS = 2
-"""Pixels up to this many rows and columns from the contact are compared."""
-MAX_ITERATIONS = 5
-"""Most iterations that find the delays, each to first order."""
-MAX_DELAY_STEP = 0.5
-"""Largest change of a delay in one iteration, in units of the largest delay."""
 
 
 class _PointComparison:
@@ -47,11 +41,12 @@ class _PointComparison:
         self._direction, self._noise = np.asarray(contact.direction, np.float64), contact.noise
 
     def signal(self, path: np.ndarray) -> np.ndarray:
-        """The number that `observed` holds, of simulated displacements [T, M, 3], shape [T]."""
+        """Return the number that `observed` holds, of simulated displacements [T, M, 3], shape [T]."""
         return path[:, 0] @ self._direction
 
     def residual(self, moved: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual of displacements at the compared instants [K, M, 3], shape [L] [σ], and its derivatives [L, D].
+        """Return the residual of displacements at the compared instants [K, M, 3], shape [L] [σ], and its derivatives
+        [L, D].
 
         `rates` are derivatives of the displacements by D parameters, shape [K, M, 3, D].
         """
@@ -63,17 +58,15 @@ class _PixelComparison:
     """The pixels around the contact that move; names as in `_PointComparison`."""
 
     def __init__(self, contact: Interaction, sequence: DepthSequence) -> None:
-        # Most frames, evenly chosen, that are compared.
-        frames = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int))
-        self._depth = DepthLikelihood(
-            contact.mesh, contact.vertex, sequence.chosen(frames), reach=PIXEL_RADIUS, partial=WALL
-        )
+        # Most frames, evenly chosen, and rows and columns from the contact that are compared.
+        frames, reach = np.unique(np.linspace(0, len(sequence.times) - 1, 8).round().astype(int)), 2
+        self._depth = DepthLikelihood(contact.mesh, contact.vertex, sequence.chosen(frames), reach=reach, partial=WALL)
         self.times, self.compared_times = sequence.times, self._depth.times
         self.blurs = np.zeros((0, 2))
         """Change of the residual by what the depth's resolution may be, shape [L, 2] [σ], at the latest
         displacements."""
         self.vertices = np.append(contact.vertex, self._depth.vertices)
-        near = np.s_[REACH - PIXEL_RADIUS : REACH + PIXEL_RADIUS + 1]
+        near = np.s_[REACH - reach : REACH + reach + 1]
         change = sequence.change[:, near, near].reshape(len(sequence.times), -1).astype(np.float64)
         # Pixels that are never hidden; together they show nearly the same tissue all the time.
         own = self._depth.patches.own()
@@ -97,7 +90,7 @@ _Comparison = _PointComparison | _PixelComparison
 
 
 def _comparison(contact: Interaction) -> _Comparison:
-    """The comparison for a contact: of pixels where there are any, else of the followed point."""
+    """Return the comparison for a contact: of pixels where there are any, else of the followed point."""
     sequence = contact.sequence
     if sequence is not None and len(sequence.times) and sequence.is_finer_than(contact.mesh.grid_shape):
         found = _PixelComparison(contact, sequence)
@@ -107,14 +100,14 @@ def _comparison(contact: Interaction) -> _Comparison:
 
 
 def largest_misfit(count: int) -> float:
-    """Largest root mean square [σ] of so many observations that noise may explain."""
+    """Return the largest root mean square [σ] of so many observations that noise may explain."""
     return max(LARGEST_MISFIT, math.sqrt(2 * float(gammainccinv(count / 2, TAIL_PROBABILITY)) / count))
 
 
 def compared(
     contact: Interaction, mechanics: Mechanics, logs: np.ndarray, covariance: np.ndarray, within: float
 ) -> tuple[float, np.ndarray, bool]:
-    """How far a contact's motion lies from the simulated one, and its information on φ if its instants are known.
+    """Compare a contact's motion with the simulated one, and find its information on φ if its instants are known.
 
     Args:
         contact: with its observation.
@@ -133,7 +126,7 @@ def compared(
     loaded = contact.load_seconds if contact.released else math.inf
 
     def simulated(seconds: float) -> np.ndarray:
-        """Displacements and their derivatives by φ under a press of this duration, shape [T, M, 3, 4]."""
+        """Return displacements and their derivatives by φ under a press of this duration, shape [T, M, 3, 4]."""
         press = dataclasses.replace(contact.load, factor=held(seconds / step, steps))
         path, slopes = simulate_tangent(theta, contact.mesh, press, mechanics, watch=comparison.vertices)
         return np.concatenate([path[..., None], slopes], axis=-1)
@@ -160,7 +153,7 @@ def compared(
 def _best_delays(
     lasting: np.ndarray, comparison: _Comparison, pressed: int, step: float, within: float
 ) -> tuple[float, float]:
-    """Delays of the press's beginning, and of its end where that was observed, that fit best among a few [s].
+    """Return delays of the press's beginning, and of its end where that was observed, that fit best among a few [s].
 
     Motions count as additive: a press that ends is one that lasts, less one that begins when it ends.
 
@@ -172,12 +165,12 @@ def _best_delays(
     """
     tried = within * DELAYS
     since = comparison.times - tried[:, None]
-    simulated, ends = between_steps(lasting, step, since.ravel())[0].reshape(-1, 1, len(comparison.times)), tried
+    simulated = between_steps(lasting, step, since.ravel())[0].reshape(-1, 1, len(comparison.times))
     residual = simulated - comparison.observed
     if pressed:
         residual = residual - between_steps(lasting, step, (since - pressed * step).ravel())[0].reshape(since.shape)
     first, last = np.unravel_index(np.argmin(np.square(residual).sum(axis=2)), residual.shape[:2])
-    return float(tried[first]), float(ends[last]) if pressed else 0.0
+    return float(tried[first]), float(tried[last]) if pressed else 0.0
 
 
 def _with_delays(
@@ -189,8 +182,7 @@ def _with_delays(
     within: float,
     prior: np.ndarray,
 ) -> tuple[float, tuple[float, float], bool]:
-    """Root mean square of the residual [σ] with the delays that fit best near some start, these delays [s], and whether
-    the dent is blurred, as in `compared`.
+    """Refine the delays from a start; return the RMS residual [σ], the delays [s], and whether the dent is blurred.
 
     Args:
         lasting: displacements under a press that lasts, and their derivatives by φ, shape [T, M, 3, 4].
@@ -201,7 +193,7 @@ def _with_delays(
     found, count = [], 2 if pressed else 1
     whole = np.zeros((count + len(prior), count + len(prior)))
     whole[:count, :count], whole[count:, count:] = np.eye(count) / within**2, prior
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(5):
         moved, rate = between_steps(lasting, step, comparison.compared_times - delays[0])
         rates = [-rate[..., :1]]
         if pressed:
@@ -209,9 +201,9 @@ def _with_delays(
             moved, rates = moved - ended, [*rates, rate[..., :1]]
         residual, slopes = comparison.residual(moved[..., 0], np.concatenate([*rates, moved[..., 1:]], axis=-1))
         later = _nearest(residual, slopes, whole)
-        # The iteration ends once delays change by less than this, in units of the largest delay.
+        # The iteration ends once delays change by less than this; they change by half of the largest delay at most.
         settled = np.abs(later[:count]).max() < 0.05 * within
-        first, last = np.append(np.clip(later[:count], -MAX_DELAY_STEP * within, MAX_DELAY_STEP * within), 0.0)[:2]
+        first, last = np.append(np.clip(later[:count], -0.5 * within, 0.5 * within), 0.0)[:2]
         later_delays = delays[0] + float(first), delays[1] + float(last)
         if settled:
             found.append((_rms(residual + slopes @ later), later_delays))
@@ -222,7 +214,8 @@ def _with_delays(
 
 
 def _blurred(residual: np.ndarray, slopes: np.ndarray, blurs: np.ndarray, prior: np.ndarray) -> bool:
-    """Whether blurs of the depth [L, K] explain what the noise doesn't, and more than so many parameters by chance."""
+    """Return whether blurs of the depth [L, K] explain the residual beyond noise, and beyond chance for K
+    parameters."""
     count, squares = blurs.shape[1], []
     for part, precision in (slopes, prior), (np.hstack([slopes, blurs]), block_diag(prior, np.eye(count))):
         change = _nearest(residual, part, precision)
@@ -231,12 +224,13 @@ def _blurred(residual: np.ndarray, slopes: np.ndarray, blurs: np.ndarray, prior:
 
 
 def _nearest(residual: np.ndarray, slopes: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Change of D parameters with prior precision [D, D] that makes residuals [L] least, to first order, shape [D]."""
+    """Return the change of D parameters with prior precision [D, D] that makes residuals [L] least, to first order,
+    shape [D]."""
     return -np.linalg.solve(slopes.T @ slopes + prior, slopes.T @ residual)
 
 
 def _lasting(path: np.ndarray, pressed: int) -> np.ndarray:
-    """A path [T, ...] as if the press had not ended after `pressed` steps; 0 = it didn't end."""
+    """Return a path [T, ...] as if the press had not ended after `pressed` steps; 0 = it didn't end."""
     lasting = path.copy()
     for first in range(pressed, len(path), pressed) if pressed else ():
         lasting[first : first + pressed] += lasting[first - pressed : first][: len(path) - first]

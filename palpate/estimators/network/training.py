@@ -28,10 +28,6 @@ from palpate.physics.likelihood import Likelihood
 
 ROUGH_BATCH, FINE_BATCH = 64, 512
 """Samples a step of the first stage, and of the others."""
-SCALE_SAMPLES, LEAST_SCALE = 2000, 0.02
-"""Samples that set the inputs' centre and scale, and the least scale of the depth-change sequence's inputs."""
-BLUR_SHARES = 0.3, 0.03
-"""Shares of a contact's largest motion by which σ is raised at the beginning and at the end of the rough stage."""
 
 
 class Made(NamedTuple):
@@ -43,9 +39,9 @@ class Made(NamedTuple):
     """Largest error of its instants [s]."""
 
     def observed(self, moved: np.ndarray, noise: float) -> tuple[Interaction, np.ndarray]:
-        """The contact with another motion [N, 3] and σ, and the network's input, without the depth-change sequence."""
-        observation = self.contact.observation.moved(moved, noise)
-        contact = self.contact.having(point=observation)
+        """Return the contact with another motion [N, 3] and σ, and the network's input, without the depth-change
+        sequence."""
+        contact = self.contact.having(point=self.contact.observation.moved(moved, noise))
         more = sequence_features(None, self.around.spacing, noise, self.within)
         return contact, np.concatenate([contact_features(contact, self.around), more])
 
@@ -82,6 +78,8 @@ class SimulatedContacts(ContactData):
     """
 
     contact_features = FEATURES + SEQUENCE_FEATURES
+    scale_samples = 2000
+    """Number of samples that set the inputs' centre and scale."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__()
@@ -111,35 +109,36 @@ class SimulatedContacts(ContactData):
         """
         posterior = self.trainer.lightning_module.posterior
         if stage == 0:
-            posterior.standardise(torch.tensor(np.stack([self.draw()[1] for _ in range(SCALE_SAMPLES)])))
+            posterior.standardise(torch.tensor(np.stack([self.draw()[1] for _ in range(self.scale_samples)])))
         if stage and self.explanations is None:
             quiet = np.stack([made.observed(made.contact.moved, fits.NOISE[0])[1] for made in self.made])
             with torch.no_grad():
                 starts = posterior(torch.from_numpy(quiet))[0].double().numpy()
             self.explanations = self.explained(starts)
         if stage == 1:  # the first stage had none of the sequence's inputs
-            examples = torch.from_numpy(fits.draw_observed(self.explanations, SCALE_SAMPLES, self.first).features)
-            posterior.standardise(examples, least=LEAST_SCALE, first=FEATURES)
+            examples = torch.from_numpy(fits.draw_observed(self.explanations, self.scale_samples, self.first).features)
+            posterior.standardise(examples, least=0.02, first=FEATURES)
 
     def rough(self, step: int) -> Rough:
-        """A batch of the first stage by its number."""
-        blur = BLUR_SHARES[0] * (BLUR_SHARES[1] / BLUR_SHARES[0]) ** (step / self.settings.rough_steps)
+        """Return a batch of the first stage by its number."""
+        # σ is raised by a share of the largest motion, at the end of the stage by a tenth of the first one.
+        blur = 0.3 * 0.1 ** (step / self.settings.rough_steps)
         batch = [self.draw() for _ in range(ROUGH_BATCH)]
         return Rough(np.stack([features for _, features in batch]), [widened(contact, blur) for contact, _ in batch])
 
     def fine(self, step: int) -> fits.Drawn:
-        """A batch of the other stages."""
+        """Return a batch of the other stages."""
         return fits.draw_observed(self.explanations, FINE_BATCH, self.later)
 
     def draw(self) -> tuple[Interaction, np.ndarray]:
-        """A contact with Gaussian noise along the force, and its features."""
+        """Draw a contact with Gaussian noise along the force, and its features."""
         made = self.made[int(self.first.integers(len(self.made)))]
         contact, noise = made.contact, math.exp(self.first.uniform(*np.log(fits.NOISE)))
         error = self.first.normal(0, noise, len(contact.observation))[:, None] * contact.direction
         return made.observed(contact.moved + error, noise)
 
     def explained(self, starts: np.ndarray) -> fits.Fits:
-        """What explains the motions, from starts [N, 3]; those that no parameters explain are left out."""
+        """Fit the motions from starts [N, 3]; motions that no parameters explain are left out."""
         tasks = [(made.contact, start, made.within) for made, start in zip(self.made, starts, strict=True)]
         found = run_shown(fits.fit_sequence, tasks, self.settings.workers, "fits")
         both = zip(self.made, found, strict=True)
@@ -151,21 +150,20 @@ class SimulatedContacts(ContactData):
 
 
 def run_shown(function: Callable[[Any], Any], tasks: list, workers: int | None, name: str) -> list:
-    """Results of tasks in their order (`run_tasks`), with a progress bar."""
+    """Run tasks with a progress bar; return their results in order."""
     with progress_bars(Console()) as progress:
-        done = run_tasks(function, tasks, workers, ordered=True)
-        return list(progress.track(done, len(tasks), description=name))
+        return list(progress.track(run_tasks(function, tasks, workers, ordered=True), len(tasks), description=name))
 
 
 def widened(contact: Interaction, blur: float) -> Likelihood:
-    """A contact's likelihood, with σ widened by a share (`blur`) of its largest motion."""
+    """Return a contact's likelihood, with σ widened by a share (`blur`) of its largest motion."""
     largest = float(np.linalg.norm(contact.moved, axis=1).max())
     observation = contact.observation.moved(contact.moved, math.hypot(contact.noise, blur * largest))
     return Likelihood(contact.mesh, contact.load, observation, fits.MECHANICS, np.float32)
 
 
 def make_contacts(count: int, seed: int, workers: int | None = None, within: float = 0.0) -> list[SimulatedContact]:
-    """About `count` contacts of many scenes, the regimes in turn, as in the benchmark.
+    """Simulate about `count` contacts of many scenes, the regimes in turn, as in the benchmark.
 
     Args:
         count: number of contacts.

@@ -1,16 +1,15 @@
-"""What the instrument alone explains of the motion, and what that determines of the fields, place by place.
+"""Motion that the instrument alone explains, and the stiffness fields that this determines, place by place.
 
-A simulation is led by the instrument from rest on and never taken to what is observed, as the session's state is: what
-it leaves of the motion judges the model. As many more, each with the stiffness around one knot changed, give the
-derivatives of what is observed, and these with a normal prior the posterior of log stiffness at the knots
-(Gauss–Newton's: linear least squares around the fields of each frame). The noise is what the likeliest leave of the
-motion. Where a model is wrong it is wrong in the same way in neighbouring places and in one frame after the other: on
-the one real pull what is left of a frame correlates with the next one's by 0.99, and over 100 px by half. So frames
-together count as one, and in a frame points by as much as their means over the cells around the knots vary.
+A simulation is driven by the instrument from rest on and never mapped to what is observed, unlike the session's state.
+Its residual judges the model. As many more, each with the stiffness around one knot changed, give derivatives. These
+and a normal prior give the posterior of log stiffness at the knots: linear least squares around the fields of each
+frame (Gauss–Newton). The noise is the likeliest fields' residual. Model errors are correlated over neighbouring places
+and frames: on the one real pull by 0.99 from frame to frame. So all frames count as one, and points of a frame by as
+much as their means over the cells around the knots vary.
 
-The paper leaves time step, masses and attachments open, and its optimiser takes tens of frames to get anywhere. One
-number each for how fast tissue follows, what holds it to its rest, and how it bends is fitted to the first frames, by
-simulation alone; stiffness place by place is left to the optimiser.
+The paper leaves time step, masses and attachments open, and its optimiser takes tens of frames to get anywhere. Three
+numbers are fitted to the first frames by simulation alone: time step, foundation and bending. Stiffness place by place
+is left to the optimiser.
 """
 
 import dataclasses
@@ -32,20 +31,20 @@ from palpate.physics.pbd.simulation import Stepping
 from palpate.physics.pbd.stiffness import Stiffness
 
 FOUNDATIONS = (0.0, 0.01, 0.03, 0.1, 0.3)
-"""Over the stiffness of distances."""
+"""Foundations that are tried, over the stiffness of distances."""
 BENDINGS = (0.02, 0.3, 1.0)
-"""Stiffness of shapes, likewise: the paper's largest of both bounds is a five-hundredth. Those that bounds allow are
-tried."""
+"""Stiffnesses of shapes that are tried within the bounds, over that of distances; the paper's largest is a
+five-hundredth."""
 Answer = Callable[[np.ndarray], np.ndarray]
-"""From values of the particles to values of points."""
+"""Function from values of the particles to values of points."""
 
 LEAST = 0.2
-"""Frames whose points move less tell nothing [px]."""
+"""Root mean square motion below which a frame's points count for nothing [px]."""
 
 
 VOLUME = 1e10 * 0.0089**4
-"""Stiffness of volumes where edges are 1 long in the mean: the paper's 10¹⁰ at its size, 600 particles of a block with
-edges of 8.9 mm. It goes with the inverse of their fourth power, since a volume's gradient goes with the second."""
+"""Stiffness of volumes where edges have a mean length of 1: the paper's 10¹⁰ for edges of 8.9 mm, 600 particles in a
+block. It goes with the inverse fourth power of the edges, since a volume's gradient goes with the second."""
 
 
 def uniform(body: Body, distance: float, shape: float) -> Stiffness:
@@ -54,18 +53,18 @@ def uniform(body: Body, distance: float, shape: float) -> Stiffness:
 
 
 class Fit(NamedTuple):
-    """What explains some frames best."""
+    """Parameters that explain some frames best."""
 
     time_step: float
     foundation: float
-    """Over the stiffness of distances."""
+    """Foundation over the stiffness of distances."""
     bending: float
-    """Stiffness of shapes, likewise."""
+    """Stiffness of shapes over that of distances."""
     error: float
     """Error over motion, root mean squares over points, of frames held out in turn: their mean."""
 
     def stepping(self, usual: Stepping, stiffness: float) -> Stepping:
-        """The usual one with this time step and foundation, for such a stiffness of distances."""
+        """Return the usual stepping with this time step and foundation, for such a stiffness of distances."""
         return dataclasses.replace(usual, time_step=self.time_step, foundation=self.foundation * stiffness)
 
 
@@ -92,7 +91,8 @@ class Fitting:
             self._fits += own
         self._states = [objective.body.rest] * len(self._groups)
         self._errors: list[list[float]] = []
-        """Over the motion, of every frame in which points move, by what is given and by all combinations."""
+        """Errors over the motion by the given parameters and by all combinations, of every frame in which points
+        move."""
 
     def step(self, places: np.ndarray, seen: np.ndarray) -> None:
         """Lead all on, and compare them with a frame; arguments as in `Determined.step`."""
@@ -110,10 +110,10 @@ class Fitting:
 
     @property
     def best(self) -> Fit | None:
-        """What explains the frames so far best; None if that isn't what held-out frames ask for.
+        """Parameters that explain the frames so far best; None if held-out frames don't confirm them.
 
-        Each frame is held out in turn, and must be explained by what the others choose: in the mean better than by
-        what is given, and as well as a run must be. Else what is fitted may be noise.
+        Each frame is held out in turn and predicted by the parameters that the others choose. The error must be below
+        that of the given parameters, and as small as a run's. Else the fit may be noise.
         """
         errors = np.array(self._errors)
         if len(errors) < 2:
@@ -124,15 +124,15 @@ class Fitting:
         return fit._replace(error=held_out) if fit is not None and explained else None
 
 
-STEPPED = "time_step", "foundation"
-"""Uncertain parameters of `Stepping`: what is known of them no better than of a knot, too, since first frames tell them
-in large steps."""
 CHANGE = 0.01
 """Change of log stiffness, for finite differences."""
 
 
 class Determined:
     """One run of contact; N particles, Q points that are compared, K knots of both fields."""
+
+    uncertain = "time_step", "foundation"
+    """Uncertain parameters of `Stepping`, known no better than a knot, as first frames identify them in large steps."""
 
     def __init__(self, objective: Objective, begun: Stiffness, cells: Answer, shown: Answer) -> None:
         """Begin at rest.
@@ -145,9 +145,9 @@ class Determined:
         """
         self._objective, self._shown = objective, shown
         rest = objective.body.rest
-        (stretch, _), self._shares = knot_shares(rest, len(STEPPED))
+        (stretch, _), self._shares = knot_shares(rest, len(self.uncertain))
         total = self._shares.shape[2]
-        own = {name: getattr(objective.stepping, name) * math.exp(CHANGE) for name in STEPPED}
+        own = {name: getattr(objective.stepping, name) * math.exp(CHANGE) for name in self.uncertain}
         others = (dataclasses.replace(objective.stepping, **{name: value}) for name, value in own.items())
         self._others = [dataclasses.replace(objective, stepping=stepping) for stepping in others]
         self._projected = np.linalg.pinv(self._shares.reshape(-1, total))
@@ -171,7 +171,8 @@ class Determined:
 
     @property
     def skill(self) -> float:
-        """1 - error / motion so far, root mean squares over points and frames; not a number where nothing has moved."""
+        """Skill so far, 1 - error / motion, root mean squares over points and frames; not a number where nothing has
+        moved."""
         return 1 - math.sqrt(self._left / self._motion) if self._motion > 0 else math.nan
 
     def step(self, fields: Stiffness, places: np.ndarray, seen: np.ndarray) -> None:
@@ -182,7 +183,7 @@ class Determined:
             places: where the gripped particles are, shape [G, 3] [m].
             seen: displacement of the points, shape [Q, 2] [px]; not observed = NaN.
         """
-        factors = np.exp(CHANGE * self._shares[:, :, : -len(STEPPED)].transpose(0, 2, 1))
+        factors = np.exp(CHANGE * self._shares[:, :, : -len(self.uncertain)].transpose(0, 2, 1))
         own = np.stack(fields[:2])[:, None]
         distance, shape = np.concatenate([own, own * factors], axis=1)
         fewer = len(distance)
@@ -213,16 +214,16 @@ class Determined:
             self._shared[one] += count * means @ means.T
             self._points[one] += count
 
-    def likeliest(self, fields: Stiffness, longest: float = 0.3) -> Stiffness:
-        """A Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
+    def likeliest(self, fields: Stiffness) -> Stiffness:
+        """Take a Gauss–Newton step from the fields of the frame that was taken in, within the bounds.
 
-        To what is likeliest of them if time step and foundation stay as they are, at most so far in a knot's logarithm.
+        It leads to the likeliest fields for the present time step and foundation, by at most 0.3 in a knot's logarithm.
         """
         covariance, likeliest = self._posterior(fields)
-        knots, stepped = slice(-len(STEPPED)), slice(-len(STEPPED), None)
+        knots, stepped = slice(-len(self.uncertain)), slice(-len(self.uncertain), None)
         others = np.linalg.solve(covariance[stepped, stepped], likeliest[stepped])
         way = (likeliest - covariance[:, stepped] @ others - self._projected @ self._logs(fields).ravel())[knots]
-        way *= min(1.0, longest / max(float(np.abs(way).max()), 1e-300))
+        way *= min(1.0, 0.3 / max(float(np.abs(way).max()), 1e-300))
         # As if they had been led by these fields all along: what remains of former ones would count again.
         slopes = (self._carried[1 : len(way) + 1] - self._carried[0]) / CHANGE
         self._carried = self._carried + np.tensordot(way, slopes, 1)
@@ -230,13 +231,13 @@ class Determined:
         return Stiffness(*np.minimum(changed, self._objective.bounds.both), fields.volume)
 
     def known(self, fields: Stiffness, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where known.
+        """Return standard deviations of log stiffness over its mean, shape [2, N]: of distances, of shapes; and where
+        known.
 
-        Known is where the knots around tell it to LIMIT, and twice as surely as before anything was observed (three
-        quarters of what is said, at least, then come from what was observed). The field is to be no farther from the
-        likeliest value than that deviation: steps have not got there yet elsewhere.
-        Deviations include what the knots leave open, from one to the next a random walk. Nothing is known where places
-        that would be differ by less than their deviations, which doesn't tell which of them is stiffer.
+        A particle is known if the knots around constrain it to LIMIT, and to half of the prior's deviation. The field
+        must also lie within that deviation of the likeliest value, which steps have not reached elsewhere. Deviations
+        include the random walk from one knot to the next. Nothing is known where known places differ by less than their
+        deviations, so that the stiffer one is not identified.
 
         Args:
             fields: stiffness as it is now, shape [N].
@@ -257,7 +258,8 @@ class Determined:
         return np.hypot(sd, stray), known
 
     def _posterior(self, fields: Stiffness) -> tuple[np.ndarray, np.ndarray]:
-        """Covariance of all numbers, shape [K, K], and their likeliest values over those to begin with, shape [K].
+        """Return the covariance of all numbers, shape [K, K], and their likeliest values relative to the first ones,
+        shape [K].
 
         The noise is what these leave of the motion, not what the fields of each frame did, which had to be learnt.
         """

@@ -49,17 +49,17 @@ class DrivenTissue:
         points, self._in_space = points[:, :2], points.shape[1] == 3
         body = surface.body
         self.fit: Fit | None = None
-        """What was fitted to the first frames, if anything was."""
+        """Parameters fitted to the first frames; None = nothing was fitted."""
         self._first: list[tuple[np.ndarray, Cloud | None, np.ndarray | None]] = []
-        """What the first frames tell, as `step` takes it."""
+        """Arguments of `step` in the first frames."""
         self._led = led
         inside, shares = surface.places(points)
         around = distance[inside] >= surface.reach
         if led:
             around = ~np.isin(shares.indices.reshape(-1, 3), surface.gripped).any(axis=1)
         self.around = inside[around]
-        """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach, or where
-        that is led in triangles without a gripped corner."""
+        """Followed points that are compared, shape [Q]: on tissue that began out of the instrument's reach. Where that
+        is led they lie in triangles without a gripped corner."""
         self._shares = shares[np.flatnonzero(around)]
         self._resting, self._depth = surface.project(self._shares @ body.rest), (self._shares @ body.rest)[:, 2]
         self._driving = np.flatnonzero(distance < surface.reach)
@@ -82,7 +82,7 @@ class DrivenTissue:
         """Settings as given, or what was fitted."""
         self.session = Session(objective, begun, settings.method)
         self.alone = Determined(objective, begun, lambda values: self._shares @ values, self.shown)
-        """What the instrument alone explains."""
+        """Motion that the instrument alone explains."""
         self._learns = settings.method.name == "PBD-RM-ON" and len(self.around) > 0
         self._places = rest[self.surface.gripped]
         self._moving = np.zeros(len(rest), bool)
@@ -97,10 +97,11 @@ class DrivenTissue:
         return self._moving & self._free
 
     def determined(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations of log stiffness over its mean where tissue has stretched, and where that is determined.
+        """Return standard deviations of log stiffness over its mean where tissue has stretched, and where that is
+        determined.
 
-        It is where tissue has stretched, the motion tells it (`Determined.known`) and the instrument alone explains the
-        motion, as much as a sheet must that is fitted to a grip.
+        It is determined where tissue has stretched and the motion constrains it (`Determined.known`). The instrument
+        alone must explain the motion as well as a sheet that is fitted to a grip.
 
         Returns:
             Shape [2, N] each: of distances, of shapes.
@@ -111,7 +112,8 @@ class DrivenTissue:
         return sd, known & stretched & (self.alone.skill >= LEAST_SKILL)
 
     def gripped_places(self, moved: np.ndarray) -> np.ndarray | None:
-        """Where the gripped particles are, shape [G, 3] [scene units]; None where too few points near them are visible.
+        """Return places of the gripped particles, shape [G, 3] [scene units]; None where too few points near them are
+        visible.
 
         Args:
             moved: displacement of the followed points, shape [P, 2] [px]; not observed = NaN.
@@ -130,8 +132,8 @@ class DrivenTissue:
     def step(self, moved: np.ndarray, cloud: Cloud | None = None, led: np.ndarray | None = None) -> Frame:
         """Take a frame in; where the instrument's tissue isn't seen it stays where it was, and nothing is learnt.
 
-        With the last of the frames that are fitted to, what one number each says of the tissue is chosen, and all are
-        taken in once more by that.
+        With the last frame that is fitted to, the parameters are chosen, and all frames are taken in once more with
+        them.
 
         Args:
             moved: displacement of the followed points since rest, shape [P, 2] [px]; not observed = NaN.
@@ -153,7 +155,7 @@ class DrivenTissue:
         return found
 
     def _fitted(self, fit: Fit) -> OnlineSettings:
-        """Settings by what the first frames say."""
+        """Return the settings with the parameters that were fitted to the first frames."""
         settings, stiffness = self.settings, self.settings.start.distance
         most = min(settings.bounds.shape, fit.bending * settings.bounds.distance)
         bounds, start = dataclasses.replace(settings.bounds, shape=most), Start(stiffness, fit.bending * stiffness)
@@ -187,10 +189,10 @@ class DrivenTissue:
         return found
 
     def skills(self) -> dict[str, float]:
-        """Skill of predicting later frames from earlier ones, by model (`estimators.online.forecast`).
+        """Return the skill of predicting later frames from earlier ones, by model (`estimators.online.forecast`).
 
-        Simulations begin at rest and follow the instrument's way: a state that was mapped to what was observed is none
-        of the model's, and would fall back.
+        Simulations begin at rest and follow the instrument's way. A state that was mapped to an observation would fall
+        back.
         """
         path, rest, gripped = np.stack(self.past), self.surface.body.rest, self.surface.gripped
         states = self.session.objective.stepped(self.session.fields, rest, path).positions[0, 1:]
@@ -207,14 +209,15 @@ class DrivenTissue:
         return {name: prediction_skill(model, frames[:, self.around], way) for name, model in models.items()}
 
     def shown(self, states: np.ndarray) -> np.ndarray:
-        """Displacement of the points `around` in states [T, N, 3], shape [T, Q, 2], or [T, Q, 3] if in space [px]."""
+        """Return the displacement of the points `around` in states [T, N, 3], shape [T, Q, 2], or [T, Q, 3] if in space
+        [px]."""
         places = np.stack([self._shares @ state for state in states])
         away = (places[..., 2] - self._depth) * (self.surface.camera.fx / self._depth)
         moved = np.concatenate([self.surface.project(places) - self._resting, away[..., None]], axis=2)
         return moved[..., : 2 + self._in_space]
 
     def _tracks(self, moved: np.ndarray, positions: np.ndarray) -> list[Match]:
-        """Followed points at the depth that the sheet has there: across the line of sight they are known, along it not.
+        """Return followed points at the depth of the sheet: they are known across the line of sight, not along it.
 
         Depth from one picture is off by far more than the motion; where that has three axes it counts.
         """

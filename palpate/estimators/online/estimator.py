@@ -18,10 +18,9 @@ from palpate.common.robust import affine_motion
 from palpate.common.settings import LARGEST, Checked
 from palpate.data.contact.tissue_points import grid_to_picture
 from palpate.data.prepared import PreparedFrame
-from palpate.data.settings import PrepareSettings
 from palpate.data.tracks.background import without_background
 from palpate.data.tracks.following import PointFollower
-from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output, Preparation
+from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output
 from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.online.driven import DrivenTissue
 from palpate.estimators.online.particle_field import FieldResult, ParticleField, StiffnessMap
@@ -53,7 +52,7 @@ class OnlineOptions(Checked):
 
 
 class OnlineEstimator(Estimator):
-    """Follows tissue that an instrument drives; needs no network and no onset.
+    """Estimator that follows tissue driven by an instrument; needs no network and no onset.
 
     Args:
         settings: how.
@@ -66,10 +65,6 @@ class OnlineEstimator(Estimator):
 
     def __init__(self, settings: OnlineSettings, smoothing: float = SMOOTHING) -> None:
         self.settings, self.smoothing = settings, smoothing
-
-    def preparation(self, chosen: Preparation) -> PrepareSettings:
-        """Smoothed tissue, and otherwise what the user chooses."""
-        return chosen.without_model(self.smoothing)
 
     def start(self, clip: ClipInfo) -> "OnlineSession":
         """Open a session."""
@@ -112,7 +107,7 @@ class _Followed:
 
     @property
     def fitted(self) -> str:
-        """What the first frames say by one number each, a sentence; empty if nothing was fitted."""
+        """Sentence on the parameters that were fitted to the first frames; empty if nothing was fitted."""
         fit = self._driven.fit
         if fit is None:
             return ""
@@ -120,7 +115,7 @@ class _Followed:
         return f"{text} {fit.bending:g} of the stiffness against stretch, which leave {fit.error:.0%} of their motion."
 
     def estimate(self) -> FieldResult:
-        """What the run tells by now."""
+        """Return the result of the run so far."""
         driven = self._driven
         course, times = np.array(driven.alone.course), np.array(self._times) - self._times[0]
         skills = driven.skills() if len(times) > 2 else {}
@@ -146,17 +141,16 @@ class OnlineSession(RunSession):
         self._reason, self._begun = "", -1
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
-        """The next frame."""
+        """Take the next frame."""
         yield from self._ended(self._runs.push(frame))
         with self.timed("online"):
             field = self._field(frame)
         doubts = "" if field is not None or not frame.in_contact else self._reason
         verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict
-        found = frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True)
-        yield replace(found, field=field)
+        yield replace(frame_estimate(frame, self.clip, verdict=verdict, doubts=doubts, whole=True), field=field)
 
     def _field(self, frame: PreparedFrame) -> ParticleField | None:
-        """Stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
+        """Return stiffness in a frame of the run under way; None where there is none, or the frame shows nothing."""
         run = self._runs.current
         if run is None:
             self._driven, self._begun = None, -1
@@ -176,7 +170,7 @@ class OnlineSession(RunSession):
         return None if self._driven is None else self._driven.field()
 
     def _pressed(self, run: Run) -> InteractionEstimate:
-        """What was observed of a run, and what its field comes to in a sentence."""
+        """Return the record of a run, with a sentence on its field."""
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is not None and len(contact.observation) == 0:
             contact = None

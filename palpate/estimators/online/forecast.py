@@ -1,4 +1,4 @@
-"""How well later frames are predicted from earlier ones by the field of stiffness, and by a sheet of one number.
+"""Skill of predicting later frames from earlier ones, by the field of stiffness and by a sheet of one number.
 
 The field counts only where it predicts better than the sheet (`physics.sheet`). What a linear model misses grows with
 the instrument's way.
@@ -17,7 +17,7 @@ FIELD, SHEET = "field", "sheet of one number"
 RATIOS = np.geomspace(1e-4, 1, 17)
 """Ratios of foundation to springs that a sheet of one number is tried with."""
 MOST_FRAMES = 8
-"""So many frames, evenly spread, say how well models predict: the motion grows steadily, and sheets take time."""
+"""Number of frames, evenly spread, on which predictions are judged: the motion grows steadily, and sheets take time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +29,11 @@ class Lattice:
     spacing: int
     """Spacing of their grid [px]."""
     distance: np.ndarray
-    """From the tool there, shape [P] [px]."""
+    """Distance from the tool there, shape [P] [px]."""
 
     def ratio(self, frames: Sequence[GripFrame]) -> float:
-        """Foundation over spring stiffness, of RATIOS, with which a sheet explains some frames best near the tool.
+        """Return the ratio of foundation to springs, of RATIOS, with which a sheet explains some frames best near the
+        tool.
 
         Least mean of error over motion of the nearest third of the points, in frames where these move:
         docs/reports/real.md.
@@ -44,9 +45,7 @@ class Lattice:
         shown = [(frame, near) for frame, near in shown if near.gripped.any() and near.around.any()]
         shown = [(frame, near) for frame, near in shown if length(near.moved[near.around]) > LEAST_MOTION]
         if not shown:
-            problem = f"In none of {len(frames)} frames the tissue near the"
-            raise NothingMoves(f"{problem} tool moves by {LEAST_MOTION:g} px.")
-
+            raise NothingMoves(f"Tissue near the tool moves by {LEAST_MOTION:g} px in none of {len(frames)} frames.")
         moves = [length(near.moved[near.around]) for _, near in shown]
 
         def off(ratio: float) -> float:
@@ -56,7 +55,7 @@ class Lattice:
         return float(min(RATIOS, key=off))
 
     def motion(self, frame: GripFrame, ratio: float) -> np.ndarray:
-        """Displacement [P, 2] [px] of a sheet of one number whose gripped points move as in a frame.
+        """Return the displacement [P, 2] [px] of a sheet of one number whose gripped points move as in a frame.
 
         It is made of the points that are in view; elsewhere not a number.
         """
@@ -69,7 +68,8 @@ class Lattice:
         return found
 
     def nearby(self, frame: GripFrame) -> GripFrame:
-        """The frame with those points around the grip alone that began close to the tool, or with all if none did."""
+        """Return the frame with those points around the grip alone that began close to the tool, or with all if none
+        did."""
         around = frame.around
         # Nearby points began nearer to the tool than this percentile of those that are followed [%].
         nearby = around & (self.distance < np.percentile(self.distance[around | frame.gripped], 35.0))
@@ -78,12 +78,13 @@ class Lattice:
 
 
 def telling(past: int) -> np.ndarray:
-    """Which of so many frames so far say how well models predict, the last one among them."""
+    """Return indices of the frames so far on which predictions are judged, the last one among them."""
     return np.unique(np.linspace(past - 1, 0, min(past, MOST_FRAMES)).round().astype(int))
 
 
 def prediction_skill(model: np.ndarray, seen: np.ndarray, way: np.ndarray) -> float:
-    """Skill, 1 - error / motion, of later frames predicted from earlier ones; NaN where there are no two of them.
+    """Return the skill, 1 - error / motion, of later frames predicted from earlier ones; NaN where there are no two of
+    them.
 
     What the model missed in the earlier frame grows with the instrument's way, by one share of that in all pairs.
 

@@ -8,7 +8,7 @@ KNOTS = 12, 4
 
 
 def farthest(places: np.ndarray, first: int, count: int) -> list[int]:
-    """Which of places [P, 3], one after the other, lie farthest from all before, beginning with the first one's index.
+    """Return indices of places [P, 3] that lie farthest from all before, one after the other, from a first one on.
 
     Args:
         places: P of them.
@@ -23,7 +23,8 @@ def farthest(places: np.ndarray, first: int, count: int) -> list[int]:
 
 
 def bumps(rest: np.ndarray, knots: int) -> np.ndarray:
-    """Shares of particles in the knots, shape [N, knots], rows adding up to 1: every particle's own where they are few.
+    """Return shares of particles in the knots, shape [N, knots], rows adding up to 1: every particle's own where they
+    are few.
 
     Knots are particles as far from each other as can be, shares fall off as normal densities half a distance wide.
 
@@ -50,5 +51,4 @@ def knot_shares(rest: np.ndarray, more: int = 0) -> tuple[list[np.ndarray], np.n
         more: numbers behind the knots, in which no particle shares.
     """
     parts = [bumps(rest, knots) for knots in KNOTS]
-    both = block_diag(*parts).reshape(2, len(rest), -1)
-    return parts, np.pad(both, ((0, 0), (0, 0), (0, more)))
+    return parts, np.pad(block_diag(*parts).reshape(2, len(rest), -1), ((0, 0), (0, 0), (0, more)))

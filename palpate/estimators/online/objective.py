@@ -1,9 +1,9 @@
-"""What fields of stiffness are optimised for within bounds: gap, history, smoothness (Liang 2024, equations 7 to 9).
+"""Objective of the fields of stiffness within bounds: gap, history, smoothness (Liang 2024, equations 7 to 9).
 
-The gap is left by residual mapping: the deformation that takes a simulated state to what was observed of it (equation
-6). How far particles are from that is a term of squared distances, `Chamfer` or `Tracks`. `slope` of either gives its
-value [m²], its gradient [N, 3] [m], and its second derivatives by one axis [N, N], the same for all three and none
-below 0, or their diagonal [N]. Once its pairs are fixed a term is quadratic in positions.
+The gap is left by residual mapping: the deformation that takes a simulated state to its observation (equation 6). The
+distance of the particles from that is a term of squared distances, `Chamfer` or `Tracks`. `slope` of either gives its
+value [m²], its gradient [N, 3] [m], and its second derivatives by one axis. These are the same for all axes and never
+negative, shape [N, N] or a diagonal [N]. Once its pairs are fixed a term is quadratic in positions.
 """
 
 from collections.abc import Sequence
@@ -36,21 +36,15 @@ class Chamfer:
         """Keep what is observed.
 
         Args:
-            cloud: observed points, shape [m, 3] [m].
-            seen: particles of the surface that the camera sees, shape [n].
-
-        Raises:
-            ValueError: an empty or infinite cloud, or nobody seen.
+            cloud: observed points, all finite, shape [m, 3] [m]; one at least.
+            seen: particles of the surface that the camera sees, shape [n]; one at least.
         """
-        if np.ndim(cloud) != 2 or np.shape(cloud)[1:] != (3,) or len(cloud) == 0 or not np.isfinite(cloud).all():
-            raise ValueError(f"the cloud has shape {np.shape(cloud)}; give finite points, [m, 3], one at least.")
-        if len(seen) == 0:
-            raise ValueError("no particle is seen, so there is nothing to match with the cloud.")
         self.cloud, self.seen = np.asarray(cloud, np.float64), np.asarray(seen, np.int64)
         self._tree = KDTree(self.cloud)
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Value, gradient and second derivatives, a diagonal [N]; a ValueError where a position is not finite."""
+        """Return the value, gradient and second derivatives, a diagonal [N]; a ValueError where a position is not
+        finite."""
         shown = points[self.seen]
         if not np.isfinite(shown).all():
             raise ValueError("a point to match is not finite: what is simulated has diverged.")
@@ -73,21 +67,14 @@ class Tracks:
 
         Args:
             places: shares of the particles in every point's position, shape [P, N], rows adding up to 1.
-            observed: where the points are, shape [P, 3] [m]; not observed = NaN.
-
-        Raises:
-            ValueError: shapes that don't fit, nothing seen.
+            observed: where the points are, shape [P, 3] [m]; not observed = NaN, one at least is.
         """
-        if np.shape(observed) != (places.shape[0], 3):
-            raise ValueError(f"observed has shape {np.shape(observed)}; give {(places.shape[0], 3)}.")
         visible = np.isfinite(observed).all(axis=1)
-        if not visible.any():
-            raise ValueError("none of the followed points is seen.")
         self.places, self.observed = places[np.flatnonzero(visible)], np.asarray(observed, np.float64)[visible]
         self._curved = (2 / len(self.observed) * (self.places.T @ self.places)).tocsr()
 
     def slope(self, points: np.ndarray) -> tuple[float, np.ndarray, csr_array]:
-        """Value, gradient and second derivatives."""
+        """Return the value, gradient and second derivatives."""
         apart = self.places @ points - self.observed
         count = len(apart)
         return float((apart * apart).sum() / count), 2 / count * (self.places.T @ apart), self._curved
@@ -99,15 +86,14 @@ Matches = Sequence[Match]
 
 @dataclass(frozen=True)
 class Mapping(Checked):
-    """How the deformation is searched."""
+    """Search of the residual deformation."""
 
     steps: Annotated[int, 1, MOST_ITERATIONS] = 30
     """Gradient steps (section II-B)."""
     rate: Positive = 50.0
-    """Learning rate at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n.
-    Lengths may have any unit: both terms are squares of lengths. A particle that more of what was observed hangs on
-    than that bears, as where points are followed on a part of a large sheet only, goes at most as far as these points
-    ask."""
+    """Learning rate at 600 particles (section II-B); with n it is rate·n/600, since means over n shrink as 1/n. Lengths
+    may have any unit: both terms are squares of lengths. A particle on which many observed points hang goes at most as
+    far as these ask."""
 
 
 class _Step(NamedTuple):
@@ -122,7 +108,7 @@ class _Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What the mapping found; N particles."""
+    """Result of the mapping; N particles."""
 
     deformation: np.ndarray
     """Δ, shape [N, 3] [m]; 0 for what is held."""
@@ -132,9 +118,10 @@ class Residual:
     _path: list[_Step]
 
     def pulled_back(self, by_deformation: np.ndarray) -> np.ndarray:
-        """Derivatives of a scalar by the state from those by Δ [N, 3], shape [N, 3], through every gradient step.
+        """Return derivatives of a scalar by the state from those by Δ [N, 3], shape [N, 3], through every gradient
+        step.
 
-        y⁺ = y - η ∇F(y) with y = x + Δ: the adjoint is (I - H η) of each step in turn, less that of Δ = y - x.
+        With y⁺ = y - η ∇F(y) and y = x + Δ the adjoint is (I - H η) of each step in turn, less that of Δ = y - x.
         """
         free = self._path[0].rates > 0
         start = pull = np.where(free, by_deformation, 0.0)
@@ -188,17 +175,8 @@ class Bounds(Checked, group="the bound of "):
     """Bounds of shapes' stiffness, likewise."""
 
     def logits(self, fields: Stiffness) -> np.ndarray:
-        """What `fields` makes those fields of, shape [2, N]: distances, then shapes.
-
-        Raises:
-            ValueError: a stiffness on a bound or outside; two of the paper's three starts are.
-        """
-        shares = np.stack(fields[:2]) / self.both
-        for name, share in zip(("distance", "shape"), shares, strict=True):
-            if not ((share > 0) & (share < 1)).all():
-                problem = f"a stiffness of {name} begins on its bounds, 0 and {getattr(self, name):g}, or outside"
-                raise ValueError(f"{problem}; begin inside.")
-        return logit(shares)
+        """Return the logits of which `fields` makes those fields, inside the bounds: distances, then shapes [2, N]."""
+        return logit(np.stack(fields[:2]) / self.both)
 
     @property
     def both(self) -> np.ndarray:
@@ -206,11 +184,11 @@ class Bounds(Checked, group="the bound of "):
         return np.array([[self.distance], [self.shape]])
 
     def fields(self, logits: np.ndarray, volume: float) -> Stiffness:
-        """Bounds times the sigmoid of each; volumes keep theirs."""
+        """Return the fields: bounds times the sigmoid of each logit; volumes keep theirs."""
         return Stiffness(*(self.both * expit(logits)), volume)
 
     def by_logits(self, fields: Stiffness, slopes: Stiffness) -> np.ndarray:
-        """Derivatives by the logits [2, N] from those by the fields [N]."""
+        """Return derivatives by the logits [2, N] from those by the fields [N]."""
         values = np.stack(fields[:2])
         return np.stack(slopes[:2]) * values * (1 - values / self.both)
 
@@ -221,7 +199,7 @@ PAPER = Bounds(distance=10.0, shape=0.02)
 
 @dataclass(frozen=True)
 class Weights(Checked, group="the weight of "):
-    """What the terms count; the paper adds them up as they are, in units that it doesn't give."""
+    """Weights of the objective's terms; the paper adds these up in units that it doesn't give."""
 
     gap: NotNegative = 1.0
     """Weight of ‖Δ‖ in mean edges: weights then don't depend on the unit of the clip."""
@@ -276,7 +254,7 @@ class Objective(Checked):
         return simulate(self.body, fields, grips, self.stepping, start=starts)
 
     def carried(self, fields: Stiffness, states: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """States [B, N, 3] [m] one time step on, each by fields of its own, in two threads.
+        """Return states [B, N, 3] [m] one time step on, each by fields of its own, in two threads.
 
         Args:
             fields: stiffness, shape [B, N].
@@ -294,7 +272,8 @@ class Objective(Checked):
             return np.concatenate(list(both.map(stepped, (slice(half), slice(half, None)))))
 
     def mapped(self, points: np.ndarray, matches: Matches) -> Residual:
-        """Residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be compared."""
+        """Return the residual deformation of a state [N, 3]: by k⁰, so that what different fields leave can be
+        compared."""
         weights = np.full(len(self.body.layout.rest), self.elastic)
         weights[self.body.kinds[1]] = 0.0
         held = self.body.inverse_mass(self.gripped) == 0
@@ -333,7 +312,7 @@ class Objective(Checked):
         return simulated, residual, terms, Stiffness(*by_fields, 0.0)
 
     def _history(self, fields: Stiffness, snapshots: list[np.ndarray]) -> tuple[float, np.ndarray]:
-        """How far snapshots [N, 3] move, and the derivatives of that by both fields, shape [2, N]."""
+        """Return how far snapshots [N, 3] move, and the derivatives of that by both fields, shape [2, N]."""
         if not snapshots:
             return 0.0, np.zeros((2, self.body.count))
         states = np.stack(snapshots)
@@ -346,6 +325,6 @@ class Objective(Checked):
 
 
 def _norm(values: np.ndarray, weight: float) -> tuple[float, np.ndarray]:
-    """Weighted norm of values [N, 3] and its derivatives by them, 0 where all are."""
+    """Return the weighted norm of values [N, 3] and its derivatives by them, 0 where all are."""
     size = float(np.linalg.norm(values))
     return weight * size, values * (weight / size if size > 0 else 0.0)

@@ -16,30 +16,30 @@ class FieldNumbers:
     """Columns of a field in a frame: quantiles over what is known, and how much and how well that is."""
 
     distance_stiffness: float | None = column("", None)
-    """against stretch, the median over tissue where it is determined, relative: a particle's mass over the square of a
-    frame's time, not N/m; compares places within a run of contact, not clips; all of it in fields.npz"""
+    """stiffness against stretch, the median over tissue where it is determined, relative: a particle's mass over the
+    square of a frame's time, not N/m; compares places within a run of contact, not clips; all of it in fields.npz"""
     distance_stiffness_low: float | None = column("", None)
-    """its 10 % quantile over that tissue, not an interval"""
+    """10 % quantile of distance_stiffness over tissue where it is determined, not an interval"""
     distance_stiffness_high: float | None = column("", None)
-    """its 90 % quantile over that tissue, not an interval"""
+    """90 % quantile of distance_stiffness over tissue where it is determined, not an interval"""
     distance_stiffness_log_sd: float | None = column("", None)
     """standard deviation of the log of stiffness over its mean, the median over that tissue"""
     shape_stiffness: float | None = column("", None)
-    """against bending, the median over tissue where it is determined, likewise, not comparable with
+    """stiffness against bending, the median over tissue where it is determined, relative, not comparable with
     distance_stiffness; all of it in fields.npz"""
     shape_stiffness_low: float | None = column("", None)
-    """its 10 % quantile over that tissue, not an interval"""
+    """10 % quantile of shape_stiffness over tissue where it is determined, not an interval"""
     shape_stiffness_high: float | None = column("", None)
-    """its 90 % quantile over that tissue, not an interval"""
+    """90 % quantile of shape_stiffness over tissue where it is determined, not an interval"""
     shape_stiffness_log_sd: float | None = column("", None)
     """standard deviation of the log of stiffness over its mean, the median over that tissue"""
     field_known: float = column("", 0.0)
-    """share of the particles whose stiffness against stretch is determined: surer than before anything was observed,
-    the tissue there has stretched, and the fit explains the motion"""
-    shape_known: float = column("the same of stiffness against bending", 0.0)
+    """share of the particles whose stiffness against stretch is determined: the posterior is narrower than the prior,
+    tissue has stretched there, and the fit explains the motion"""
+    shape_known: float = column("share of the particles whose stiffness against bending is determined", 0.0)
     skill: float = column("", math.nan)
-    """1 - error / motion so far of the tissue simulated under the instrument alone; below 0.35 the fit does not explain
-    the motion, and nothing is determined"""
+    """skill so far, 1 - error / motion, of the tissue simulated under the instrument alone; below 0.35 the fit does not
+    explain the motion, and nothing is determined"""
     gap: float | None = column("", None)
     """norm of the deformation by which the simulated particles missed what the frame shows, scene units"""
 
@@ -53,14 +53,15 @@ class StiffnessMap:
     log_sd: np.ndarray
     """Standard deviation of the logarithm of `value` over its mean where tissue has stretched, shape [N]."""
     known: np.ndarray
-    """Where the motion so far determines it, shape [N], bool; nowhere where the fit does not explain the motion."""
+    """Mask of the particles whose stiffness is determined so far, shape [N], bool; empty if the fit does not explain
+    the motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParticleField:
     """Stiffness over a sheet or a volume of tissue that an instrument drives, in one frame; N particles.
 
-    Stiffness counts in m/Δt², a particle's mass over the square of a frame's time: it compares places within a run of
+    Stiffness counts in m/Δt², a particle's mass over the square of a frame's time. It compares places within a run of
     contact, not clips, and no force follows from it.
     """
 
@@ -75,13 +76,14 @@ class ParticleField:
     positions: np.ndarray
     """Particles now, without the background's motion, shape [N, 3] [scene units]."""
     pixels: np.ndarray
-    """Where they are in the picture, with it, shape [N, 2] [px of the source frame]."""
+    """Places of the particles in the picture, with the background's motion, shape [N, 2] [px of the source frame]."""
     distance: StiffnessMap
-    """Against stretch along the surface."""
+    """Stiffness against stretch along the surface."""
     shape: StiffnessMap
-    """Against changes of a neighbourhood's shape."""
+    """Stiffness against changes of a neighbourhood's shape."""
     skill: float
-    """1 - error / motion so far of the simulation that the instrument alone leads; not a number: nothing has moved."""
+    """Skill so far, 1 - error / motion, of the simulation driven by the instrument alone; not a number: nothing has
+    moved."""
     gap: float | None
     """Norm of the deformation by which the simulation missed what the frame shows [scene units]; None = nothing."""
 
@@ -104,7 +106,7 @@ class ParticleField:
 
     @property
     def explained(self) -> bool:
-        """Whether tissue that the instrument moves explains the motion so far."""
+        """True if tissue that the instrument moves explains the motion so far."""
         return self.skill >= LEAST_SKILL
 
     @property
@@ -115,34 +117,29 @@ class ParticleField:
 
 @dataclass(frozen=True, eq=False)
 class FieldResult:
-    """What the motion of tissue that an instrument drives tells of stiffness place by place; T frames, rest first."""
+    """Stiffness place by place from the motion of tissue that an instrument drives; T frames, rest first."""
 
     last: ParticleField
     """Field as it was in the last frame."""
     times: np.ndarray
-    """Since the run's first frame, shape [T] [s]."""
+    """Times since the run's first frame, shape [T] [s]."""
     course: np.ndarray
     """Root mean squares over the points of what is observed, predicted, and the difference, shape [T, 3] [px]."""
     stretched: bool
-    """Whether tissue has anywhere stretched by as much as settings ask for."""
+    """True if tissue has stretched anywhere by as much as settings ask for."""
     driven: DrivenTissue
-    """What was simulated, as it was left."""
+    """Simulated tissue in its last state."""
     skills: Mapping[str, float] = field(default_factory=dict)
-    """How well later frames are predicted from earlier ones, by model (`estimators.online.forecast`): skill."""
+    """Skill of predicting later frames from earlier ones, by model (`estimators.online.forecast`)."""
 
     @property
     def skill(self) -> float:
-        """1 - error / motion of that simulation over all frames; not a number where nothing has moved."""
+        """Skill of that simulation over all frames, 1 - error / motion; not a number where nothing has moved."""
         return self.last.skill
 
     @property
-    def explained(self) -> bool:
-        """Whether tissue that the instrument moves explains the motion."""
-        return self.last.explained
-
-    @property
     def simpler(self) -> bool:
-        """Whether a sheet of one number predicts better than the field, which then counts for nothing."""
+        """True if a sheet of one number predicts better than the field, which then counts for nothing."""
         return self.skills.get(SHEET, -math.inf) > self.skills.get(FIELD, math.inf)
 
     @property
@@ -157,22 +154,19 @@ class FieldResult:
 
     @property
     def explanation(self) -> str:
-        """What the fit comes to, a sentence; empty where nothing has moved, or too little to stretch anything."""
+        """Sentence on the fit; empty where nothing has moved, or too little to stretch anything."""
         if math.isnan(self.skill):
             return ""
         left = f"{1 - self.skill:.0%} of the motion"
-        if not self.explained:
-            text = f"The fit does not explain the motion: tissue simulated under the instrument alone leaves {left}"
-            return f"{text} ({1 - LEAST_SKILL:.0%} at most count as explained), so no stiffness is given or coloured."
+        if not self.last.explained:
+            text = f"The fit does not explain the motion: it leaves {left} ({1 - LEAST_SKILL:.0%} at most are allowed),"
+            return f"{text} so no stiffness is given or coloured."
         if not self.stretched:
             return ""
         if self.simpler:
-            better, worse = self.skills[SHEET], self.skills[FIELD]
-            text = f"A {SHEET} predicts later frames from earlier ones better (skill {better:.2f}) than stiffness"
-            return f"{text} place by place does ({worse:.2f}), so where it is stiffer is not determined."
+            text = f"A {SHEET} predicts later frames from earlier ones better (skill {self.skills[SHEET]:.2f})"
+            return f"{text} than the field ({self.skills[FIELD]:.2f}), so where it is stiffer is not determined."
         if not self.determined:
-            text = f"Tissue simulated under the instrument alone leaves {left}, but no place's stiffness is determined:"
-            return f"{text} others explain the motion as well, so none is given or coloured."
-        shares = [f"{each.known.mean():.0%}" for each in self.last.maps.values()]
-        text = f"Tissue simulated under the instrument alone leaves {left}; stiffness is determined at"
-        return f"{text} {shares[0]} of the particles against stretch, at {shares[1]} against bending."
+            return f"The fit leaves {left}, but no place's stiffness is determined: others explain the motion as well."
+        stretch, bending = (f"{each.known.mean():.0%}" for each in self.last.maps.values())
+        return f"The fit leaves {left}; stiffness is determined at {stretch} (stretch), {bending} (bending) of tissue."

@@ -1,7 +1,7 @@
 """Tissue of a sequence beside a robot: clouds and followed points under a gripper whose poses are known, in metres.
 
-The tissue is looked at along its own mean normal from far away, whatever frame the sequence has: what is simulated
-then doesn't depend on that frame, and what is said of it is turned back.
+The tissue is viewed along its own mean normal from far away, and results are turned back. So the simulation doesn't
+depend on the sequence's frame.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from palpate.estimators.online.settings import OnlineSettings
 from palpate.estimators.online.surface import Surface, body_below, layers_below
 
 PIXELS = 12.0
-"""Between particles: followed points of a video at 600 particles have about as many."""
+"""Distance between particles [px]; followed points of a video at 600 particles have about as many."""
 
 
 class SequenceTissue:
@@ -49,14 +49,13 @@ class SequenceTissue:
         self.driven = DrivenTissue(self.surface, pixels, np.full(len(pixels), np.inf), settings, led=True)
 
     def fields(self) -> Iterator[tuple[int, ParticleField]]:
-        """Every frame after the one in which the gripper takes hold, by its index, and the field by then [m]."""
+        """Yield every frame after the one in which the gripper takes hold, by its index, with the field by then [m]."""
         for frame in self._sequence.held[1:]:
             cloud = moved(self._sequence.cloud(frame), self._view)
             self.unseen += not len(cloud)
             some = np.linspace(0, len(cloud) - 1, min(len(cloud), self.driven.settings.points)).round().astype(int)
             shown: Cloud = cloud[some], self.surface.seen
-            gap = self.driven.step(self._moved(frame), shown, self._led(frame)).gap
-            yield frame, self._field(gap)
+            yield frame, self._field(self.driven.step(self._moved(frame), shown, self._led(frame)).gap)
 
     def _moved(self, frame: int) -> np.ndarray:
         """Return the motion of the followed points since rest, in the view's picture and away from its eye, shape [P,
@@ -68,7 +67,7 @@ class SequenceTissue:
         return np.column_stack([self.surface.project(now) - self.surface.project(rest), away])
 
     def _led(self, frame: int) -> np.ndarray:
-        """Where the tool takes what it holds, turned as it is, shape [G, 3] [m]."""
+        """Return the places to which the tool takes what it holds, turned as it is, shape [G, 3] [m]."""
         first, then = self._sequence.tool.at(self._sequence.times[[self._begin, frame]])
         motion = self._view @ then @ np.linalg.inv(self._view @ first)
         return moved(self.surface.body.rest[self.surface.gripped], motion)
@@ -82,7 +81,7 @@ class SequenceTissue:
         return ParticleField(self._begin, *tissue, pixels, *maps, self.driven.alone.skill, gap)
 
     def _meshed(self, cloud: np.ndarray, settings: OnlineSettings) -> Surface:
-        """Particles on a cloud in the view's frame."""
+        """Return particles on a cloud in the view's frame."""
         sequence = self._sequence
         shape = CloudShape(cloud, printable(sequence.files[self._begin]))
         layers = 1 if settings.thickness is None else layers_below(shape.area, settings.thickness, settings.particles)

@@ -6,7 +6,7 @@ Stiffness is optimised by Adam, as in the paper, or set from outside: by the Gau
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,22 +16,23 @@ from palpate.estimators.online.objective import Match, Objective, Terms
 from palpate.physics.pbd.stiffness import Stiffness
 
 
-@dataclass
 class Adam:
-    """Adam (Kingma 2015, algorithm 1) in numpy, where torch is not installed: its running means, at first none."""
+    """Adam (Kingma 2015, algorithm 1) in numpy, where torch is not installed.
 
-    rate: float = 0.1
-    """Liang 2024, section III-B."""
-    decay: tuple[float, float] = (0.9, 0.999)
-    """Decay of the means of slopes and of their squares: Adam's usual ones, as the paper gives none."""
-    guard: float = 1e-8
-    _mean: np.ndarray | float = field(default=0.0, init=False, repr=False)
-    _square: np.ndarray | float = field(default=0.0, init=False, repr=False)
-    _count: int = field(default=0, init=False, repr=False)
+    Args:
+        rate: learning rate (Liang 2024, section III-B).
+        guard: added to the slopes' size.
+    """
+
+    def __init__(self, rate: float = 0.1, guard: float = 1e-8) -> None:
+        self.rate, self.guard = rate, guard
+        self._mean: np.ndarray | float = 0.0
+        self._square: np.ndarray | float = 0.0
+        self._count = 0
 
     def step(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Values after one step against slopes of the same shape."""
-        first, second = self.decay
+        """Take a step against slopes of the same shape as the values; return the new values."""
+        first, second = 0.9, 0.999  # Adam's usual decays of the slopes' and squares' means, as the paper gives none
         self._count += 1
         self._mean = first * self._mean + (1 - first) * slopes
         self._square = second * self._square + (1 - second) * slopes * slopes
@@ -39,13 +40,9 @@ class Adam:
         return values - self.rate * self._mean / (1 - first**self._count) / size
 
 
-SNAPSHOTS, WINDOW = 4, 20
-"""How many earlier states should stay at rest, and of how many frames (Liang 2024, section II-C)."""
-
-
 @dataclass(frozen=True)
 class Method(Checked):
-    """Which parts of the step run.
+    """Parts of the step that run.
 
     Raises:
         ValueError: another name.
@@ -54,20 +51,20 @@ class Method(Checked):
     name: Literal["PBD", "PBD-RM", "PBD-RM-ON"] = "PBD-RM-ON"
     """Simulation alone; with states that are mapped to what is observed; with stiffness that is optimised, too."""
     optimizer: Literal["adam", "gauss-newton"] = "gauss-newton"
-    """By what stiffness is changed: Adam, the paper's, or Gauss–Newton steps of the fields at a few knots, which are
-    `palpate.estimators.online.determined`'s and need followed points."""
+    """Optimiser of stiffness: Adam, the paper's, or Gauss–Newton steps of the fields at a few knots
+    (`palpate.estimators.online.determined`), which need followed points."""
     rate: Positive = 0.1
     """Learning rate of Adam, by the logits of the fields (Liang 2024, section III-B)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a frame gave; N particles."""
+    """Result of a frame; N particles."""
 
     positions: np.ndarray
     """The state, mapped where the method maps, shape [N, 3] [m]."""
     fields: Stiffness
-    """After this frame's step, shape [N]."""
+    """Fields after this frame's step, shape [N]."""
     gap: float | None
     """‖Δ‖ [m]; None = nothing was mapped."""
     terms: Terms | None
@@ -84,13 +81,11 @@ class Session:
             objective: body, grip and settings.
             fields: stiffness to begin with, shape [N], inside the bounds where they are optimised.
             method: which parts run.
-
-        Raises:
-            ValueError: fields on the bounds or outside.
         """
         self.objective, self.method, self.fields = objective, method, fields
         self.positions = objective.body.rest.copy()
-        self._past: deque[np.ndarray] = deque(maxlen=WINDOW)
+        # Earlier states, of which four should stay at rest (Liang 2024, section II-C).
+        self._past: deque[np.ndarray] = deque(maxlen=20)
         self._adam = None
         if (method.name, method.optimizer) == ("PBD-RM-ON", "adam"):
             self._adam, self._logits = Adam(method.rate), objective.bounds.logits(fields)
@@ -122,10 +117,11 @@ class Session:
         return Frame(self.positions, self.fields, gap, terms)
 
     def ahead(self, places: np.ndarray) -> np.ndarray:
-        """States that a path of the grip [T, G, 3] [m] would lead to, shape [T, N, 3] [m], by the field as it is."""
+        """Return states [T, N, 3] [m] along a path of the grip [T, G, 3] [m], by the field as it is."""
         return self.objective.stepped(self.fields, self.positions, places).positions[0, 1:]
 
     def _snapshots(self) -> list[np.ndarray]:
-        """Evenly out of the window, its ends included, where the paper draws uniformly: runs can be repeated."""
-        chosen = np.linspace(0, len(self._past) - 1, min(SNAPSHOTS, len(self._past)))
+        """Return states evenly out of the window, its ends included, where the paper draws uniformly: runs can be
+        repeated."""
+        chosen = np.linspace(0, len(self._past) - 1, min(4, len(self._past)))
         return [self._past[index] for index in chosen.round().astype(int)]

@@ -30,18 +30,18 @@ class Start(Checked, group="the start of "):
 
 @dataclass(frozen=True)
 class OnlineSettings(Checked):
-    """How tissue that an instrument drives is followed, and its stiffness found.
+    """Settings of the online estimator: how driven tissue is followed, and its stiffness found.
 
     Raises:
         ValueError: a value out of range, or two that don't belong together.
     """
 
     particles: Annotated[int, 30, 10_000] = 600
-    """About so many make up the tissue, all layers of a volume together (Liang 2024, section III)."""
+    """Approximate number of particles, all layers of a volume together (Liang 2024, section III)."""
     thickness: Positive | None = None
     """Thickness of the tissue along its surface's normal [scene units]; None = a sheet."""
     points: Annotated[int, 1, LARGEST] = 9000
-    """At most so many of a sequence's cloud (Liang 2024, section III)."""
+    """Largest number of points of a sequence's cloud (Liang 2024, section III)."""
     strain: NotNegative = 0.03
     """Stiffness can be known only where an edge was once longer or shorter than at rest by more than this share."""
     fitted: Annotated[int, 0, MOST_FITTED] = 5
@@ -50,18 +50,18 @@ class OnlineSettings(Checked):
     start: Start = field(default_factory=Start)
     """Stiffness to begin with."""
     method: Method = field(default_factory=Method)
-    """Which parts of the step run, and how fast stiffness is changed."""
+    """Parts of the step that run, and how fast stiffness is changed."""
     bounds: Bounds = field(default_factory=Bounds)
     """Largest stiffness; where frames are fitted to, of shapes also at most as many times that of distances as is
     chosen there."""
     stepping: Stepping = field(default_factory=Stepping)
-    """How time steps are taken; a frame is one."""
+    """Time steps; a frame is one."""
     mapping: Mapping = field(default_factory=Mapping)
-    """How the residual deformation is searched."""
+    """Search of the residual deformation."""
     elastic: NotNegative = Objective.elastic
     """k⁰ of the mapping, as `Objective` has it."""
     weights: Weights = field(default_factory=Weights)
-    """What the terms of the objective count."""
+    """Weights of the objective's terms."""
 
     def __post_init__(self) -> None:
         """Check ranges."""
@@ -73,7 +73,7 @@ class OnlineSettings(Checked):
 
 
 def load_settings(path: Path) -> OnlineSettings:
-    """Settings of a YAML file; what it leaves out keeps its default.
+    """Read settings from a YAML file; what it leaves out keeps its default.
 
     Raises:
         InputError: unreadable file, an unknown key, or an impossible value.

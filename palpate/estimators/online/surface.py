@@ -25,7 +25,7 @@ class Surface:
     """A sheet or a volume of N particles, and the picture that it was observed in."""
 
     body: Body
-    """At rest, in coordinates of the camera [scene units]; of a volume the surface's particles come first."""
+    """Body at rest, in coordinates of the camera [scene units]; of a volume the surface's particles come first."""
     faces: np.ndarray
     """Triangles that the camera saw, shape [F, 3]: all of a sheet's."""
     gripped: np.ndarray
@@ -43,18 +43,18 @@ class Surface:
         return np.unique(self.faces)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Where points [..., 3] [scene units] are in the picture, shape [..., 2] [px] (Bini 2026, equation 3)."""
+        """Project points [..., 3] [scene units] into the picture, shape [..., 2] [px] (Bini 2026, equation 3)."""
         camera = self.camera
         return points[..., :2] / points[..., 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
     def lift(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """The inverse: points [..., 3] [scene units] at places [..., 2] [px] and depths [...]."""
+        """Return points [..., 3] [scene units] at places [..., 2] [px] and depths [...], the inverse of `project`."""
         camera = self.camera
         across = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         return np.concatenate([across * depth[..., None], depth[..., None]], axis=-1)
 
     def places(self, points: np.ndarray) -> tuple[np.ndarray, csr_array]:
-        """Points of the picture on the surface at rest, as shares of its particles.
+        """Locate points of the picture on the surface at rest, as shares of its particles.
 
         Args:
             points: shape [P, 2] [px].
@@ -125,7 +125,8 @@ def make_surface(
 
 
 def layers_below(area: float, thickness: float, particles: int) -> int:
-    """Layers of particles of a volume, about as far from each other as those within one; the surface is one.
+    """Return the number of a volume's layers of particles, about as far from each other as those within one; the
+    surface is one.
 
     Args:
         area: of the surface [scene units²].
@@ -138,7 +139,7 @@ def layers_below(area: float, thickness: float, particles: int) -> int:
 
 
 def body_below(mesh: Mesh, pinned: np.ndarray, thickness: float | None, layers: int) -> Body:
-    """What lies below a surface along its normals, in so many layers; pinned is all below what is pinned there.
+    """Make the body below a surface along its normals, in so many layers; pinned is all below what is pinned there.
 
     Without a thickness it is the sheet itself.
 

@@ -9,38 +9,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.estimators.palpation.bench import GRAZING, OUTLIER, Bench
+from palpate.estimators.palpation.bench import Bench
 from palpate.estimators.palpation.registration import turned
 from palpate.physics.fem import Equilibrium, Material, NoEquilibrium
 
 POISSON = (0.0, 0.495)
 """Range of ν that is looked at; below 0 no tissue lies, above it the elements lock."""
-CLOSE = 0.3
-"""Change of log E and ν over their standard deviations by the noise, that needs no further simulation: it is made all
-the same, by the derivatives, and what is left is of its square."""
-ROUGH = 1.02
-"""By what factor the error may grow in a step: which points count changes, which roughens it."""
-SHORTEST = 0.01
-"""Share of a step, below which none is tried."""
-FARTHEST, WIDEST = 10.0, 0.15
-"""Factor by which a step changes E at most, and by how much ν moves between two simulations."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """How a press moves the body close to what was simulated."""
+    """Motion of the body under a press, linearised around what was simulated."""
 
     moved: np.ndarray
     """Displacement of the surface's vertices, shape [V, 3] [m]."""
     slopes: np.ndarray
-    """Its derivatives by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
+    """Derivatives of `moved` by relative compliance, E's inverse over that simulated, and by ν, shape [V, 3, 2] [m]."""
     nodes: np.ndarray
     """Displacement of the body's nodes, shape [N, 3] [m]."""
     node_slopes: np.ndarray
-    """Its derivatives by the same, shape [N, 3, 2] [m]."""
+    """Derivatives of `nodes` by the same, shape [N, 3, 2] [m]."""
 
     def predicted(self, change: np.ndarray) -> np.ndarray:
-        """Displacement of the nodes with a change of what `slopes` are by, [2], shape [N, 3] [m]."""
+        """Return the displacement of the nodes with a change of what `slopes` are by, [2], shape [N, 3] [m]."""
         return self.nodes + self.node_slopes @ change
 
 
@@ -53,20 +44,28 @@ def states_of(bench: Bench, rests: Sequence[Equilibrium], scale: float) -> list[
         # E/a, of which ∂/∂a at 1 is -E ∂/∂E.
         slopes = rest.tangents() * np.array([-float(np.mean(rest.material.young)), 1.0])
         on_skin = bench.skin.shares @ slopes.reshape(len(slopes), -1)
-        moved = bench.skin.shares @ rest.displacement
-        surface = scale * moved, scale * on_skin.reshape(-1, 3, 2)
+        surface = scale * (bench.skin.shares @ rest.displacement), scale * on_skin.reshape(-1, 3, 2)
         states[id(rest)] = State(*surface, scale * rest.displacement, scale * slopes)
     return [states[id(rest)] for rest in rests]
 
 
 def _unknowns(which: int) -> np.ndarray:
-    """Indices of what a palpation's points constrain, two of the material and six of its pose, shape [8]."""
+    """Return indices of the unknowns that a palpation's points constrain, two of the material and six of its pose,
+    shape [8]."""
     return np.concatenate([np.arange(2), 2 + np.arange(6 * which, 6 + 6 * which)])
 
 
 class System:
     """Residuals with a change of relative 1/E and ν from what was simulated, linearised by these and every pose's
     six."""
+
+    close = 0.3
+    """Change of log E and ν that needs no further simulation, over their standard deviations by the noise. It is made
+    all the same, by the derivatives, and its square is left."""
+    rough = 1.02
+    """Factor by which the error may grow in a step: another choice of points roughens it."""
+    shortest = 0.01
+    """Share of a step below which none is tried."""
 
     def __init__(
         self,
@@ -79,17 +78,16 @@ class System:
     ) -> None:
         self.bench, self.states, self.change, self.poses, self.ends = bench, states, change, list(poses), ends
         self.chosen: list[np.ndarray] = []
-        """Which points count, of each press [P]: the same ones until something is simulated again."""
+        """Masks of the points that count, of each press [P]; the same until something is simulated again."""
         skin, triangles = bench.skin, bench.skin.triangles
         residuals, blocks, sinks, places = [], [], [], []
         for which, (state, pose) in enumerate(zip(states, poses, strict=True)):
             moved = state.moved + state.slopes @ change
             match, cosine = bench.matched(skin.vertices + moved, which, pose)
             self.chosen.append(bench.counting(match, cosine, which) if chosen is None else chosen[which])
-            counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > GRAZING / 2)
+            counts = self.chosen[which] & np.isfinite(match.distance) & (cosine > bench.grazing / 2)
             if np.count_nonzero(counts) < 12:
-                problem = "fewer than 12 points lie on the surface outside the hole;"
-                raise ValueError(f"{problem} give more, or a smaller hole.")
+                raise ValueError("fewer than 12 surface points lie outside the hole; give more, or a smaller hole.")
             along = match.normal[counts] / cosine[counts, None]
             met = match.at(triangles, skin.vertices + moved)[counts]
             by_material = -np.einsum("px,pxk->pk", along, match.at(triangles, state.slopes)[counts])
@@ -99,38 +97,38 @@ class System:
             sinks.append((match.at(triangles, moved)[counts] * along).sum(axis=1))
             places.append(match.at(triangles, skin.vertices)[counts])
         self.residual, self.jacobian = np.concatenate(residuals), np.concatenate(blocks)
-        """By the material's two and the six of the pose that a point was observed from, shape [R, 8]."""
+        """Derivatives by the material's two unknowns and the six of a point's pose, shape [R, 8]."""
         self.which = np.repeat(np.arange(len(states)), [len(block) for block in blocks])
         self.sinks, self.places = np.concatenate(sinks), np.concatenate(places)
-        limit, size = OUTLIER * bench.noise, np.abs(self.residual)
+        limit, size = bench.outlier * bench.noise, np.abs(self.residual)
         self.weight = np.minimum(1.0, limit / np.maximum(size, 1e-300))
         self.cost = float(np.mean(np.where(size < limit, size**2, limit * (2 * size - limit))))
         self.noise = float(np.sqrt(np.mean(self.weight * np.square(self.residual))))
         self.precision = self.weight / self.noise**2
-        """What a residual weighs, shape [R] [1/m²]."""
+        """Weights of the residuals, shape [R] [1/m²]."""
 
     def solved(self) -> "System":
-        """By Gauss–Newton steps, without a simulation."""
+        """Take Gauss–Newton steps, without a simulation."""
         system, trust = self, 1.0
         for _ in range(20):
             step, sd = system.step()
             step = trust * step
             before = 1 + system.change[0]
-            compliance = np.clip(before + step[0], before / FARTHEST, FARTHEST * before)
+            compliance = np.clip(before + step[0], before / 10, 10 * before)
             poisson = np.clip(system.change[1] + step[1], *self.ends)
             change, turns = np.array([compliance - 1, poisson]), step[2:].reshape(-1, 6)
             poses = [turned(pose, part) for pose, part in zip(system.poses, turns, strict=True)]
             following = System(self.bench, self.states, change, poses, self.ends, self.chosen)
-            if following.cost > ROUGH * system.cost and trust > SHORTEST:
+            if following.cost > self.rough * system.cost and trust > self.shortest:
                 trust /= 3
                 continue
             moved, system, trust = change - system.change, following, min(1.0, 2 * trust)
-            if (np.abs(moved) < CLOSE / 6 * sd).all():
+            if (np.abs(moved) < self.close / 6 * sd).all():
                 break
         return system
 
     def _normal(self) -> tuple[np.ndarray, np.ndarray]:
-        """Normal matrix [U, U] and right-hand side [U], with what the tool tells of the poses.
+        """Return the normal matrix [U, U] and right-hand side [U], with the tool's information on the poses.
 
         ν is as likely anywhere in its range: a normal prior would draw it to the middle, and with it raise E.
         """
@@ -148,12 +146,13 @@ class System:
         return normal, right
 
     def _precision(self) -> np.ndarray:
-        """What is known of the unknowns beforehand, shape [U]."""
+        """Return prior precisions of the unknowns, shape [U]."""
         poses = [[each.pose_turn**-2] * 3 + [each.pose_shift**-2] * 3 for each in self.bench.palpations]
         return np.concatenate([[0.0] * 2, *poses])
 
     def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss–Newton's step, shape [U], none where it would leave its range; sd of 1/E and ν by the noise, [2]."""
+        """Return Gauss–Newton's step, shape [U], none where it would leave its range; sd of 1/E and ν by the noise,
+        [2]."""
         normal, right = self._normal()
         sd = np.sqrt(np.diag(np.linalg.inv(normal))[:2])
         # Where the body leaves a pose open, as a ball its turns, facets pull it to and fro: a step moves it by a
@@ -169,12 +168,13 @@ class System:
         return found, sd
 
     def still(self) -> bool:
-        """Whether what was simulated is as good."""
+        """Return whether the change is too small to need another simulation."""
         sd = np.sqrt(np.diag(np.linalg.inv(self._normal()[0]))[:2])
-        return bool((np.abs(self.change) < CLOSE * sd).all())
+        return bool((np.abs(self.change) < self.close * sd).all())
 
     def covariance(self, model_error: float) -> np.ndarray:
-        """Covariance of (log E, ν), by the sensor's noise and the share of displacements that the model gets wrong."""
+        """Return the covariance of (log E, ν), by the sensor's noise and the share of displacements that the model gets
+        wrong."""
         normal = self._normal()[0]
         normal[1, 1] += 12 / (POISSON[1] - POISSON[0]) ** 2  # nor can ν be farther off than its range lets it
         inverse = np.linalg.inv(normal)
@@ -193,12 +193,12 @@ class System:
 
 
 Fit = tuple[float, float, list[Equilibrium], System]
-"""E and ν as simulated last, the bodies, and what was solved from there."""
+"""State of the iteration: E and ν as simulated last, the bodies, and the system solved from there."""
 
 
 def ends(poisson: float) -> tuple[float, float]:
-    """How far ν may change between two simulations."""
-    return max(POISSON[0] - poisson, -WIDEST), min(POISSON[1] - poisson, WIDEST)
+    """Return the range within which ν may change between two simulations."""
+    return max(POISSON[0] - poisson, -0.15), min(POISSON[1] - poisson, 0.15)
 
 
 def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
@@ -228,12 +228,11 @@ def iterated(bench: Bench, begun: Fit, report: Callable[[str], None]) -> Fit:
             else:  # no state to go back to, but a stiffer body bears more
                 stiffer *= 4
             # Stiffer than that over the linear law's E, no equilibrium is searched.
-            if trust < SHORTEST or stiffer > 4.0**5:
+            if trust < System.shortest or stiffer > 4.0**5:
                 raise
             continue
-        states = states_of(bench, tried, 1.0)
-        following = System(bench, states, np.zeros(2), found.poses, ends(aim[1]))
-        if rests and following.cost > ROUGH * system.cost and trust > SHORTEST:
+        following = System(bench, states_of(bench, tried, 1.0), np.zeros(2), found.poses, ends(aim[1]))
+        if rests and following.cost > System.rough * system.cost and trust > System.shortest:
             trust /= 3
             continue
         step = trust * found.change

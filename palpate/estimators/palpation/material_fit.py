@@ -1,10 +1,10 @@
 """Young's modulus and Poisson's ratio from forces and the deformed surfaces that they leave (Frank 2010, section VI).
 
 The residual is the distance of a measured point from the simulated surface along its line of sight, with what the tool
-hides masked. `fit_material` is Gauss–Newton with exact derivatives by (1/E, ν) and by the sensors' poses: between two
-simulations displacements are linear in the former, and points are matched anew as often as it takes. It begins at the
-linear law, by which displacements go with 1/E, so that it doesn't matter how far off the start is. The paper's descent
-takes ten times as many simulations (docs/reports/palpation.md).
+hides masked. `fit_material` is Gauss–Newton with exact derivatives by (1/E, ν) and by the sensors' poses. Between two
+simulations displacements are linear in (1/E, ν), and points are matched anew as often as it takes. It begins at the
+linear law, by which displacements go with 1/E, so that any start will do. The paper's descent takes ten times as many
+simulations (docs/reports/palpation.md).
 """
 
 from collections.abc import Callable, Sequence
@@ -24,18 +24,18 @@ NOTHING = "nothing determined"
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a fit sees its model."""
+    """Settings of a fit: its start, and the error of the model."""
 
     young: float = 1e4
-    """E to begin at [Pa]."""
+    """Young's modulus E to begin at [Pa]."""
     model_error: float = 0.02
-    """By what share displacements of mesh and law are off, the same within a quarter of the body: what the covariance
-    takes besides the sensor's noise."""
+    """Relative error of the displacements by mesh and law, correlated within a quarter of the body, for the
+    covariance."""
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialFit:
-    """What the palpations say; O of them."""
+    """Result of the palpations; O of them."""
 
     young: float
     """[Pa]."""
@@ -63,7 +63,8 @@ class MaterialFit:
 
     @property
     def verdict(self) -> str:
-        """Whether ν is `determined` too, `young` alone, or `NOTHING`: E's interval spans a factor e, or more."""
+        """Verdict: `determined` if ν is, too; `young` if E alone is; `NOTHING` if E's interval spans a factor e or
+        more."""
         if not self.young_sd < LIMIT:
             return NOTHING
         # A ν whose standard deviation is below this counts as determined: 95 % lie within 0.05.
@@ -90,8 +91,7 @@ def fit_material(
         NoEquilibrium: the body can't bear the forces at any stiffness that was tried.
         ValueError: a contact off the surface, too few points next to the hole, or a reversed force.
     """
-    contacts = np.array([each.contact for each in palpations])
-    normals = Match.of(contacts, skin.vertices, skin.triangles).normal
+    normals = Match.of(np.array([each.contact for each in palpations]), skin.vertices, skin.triangles).normal
     for number, (each, normal) in enumerate(zip(palpations, normals, strict=True), start=1):
         if each.force @ normal > 0:
             problem = f"the force of palpation {number} points out of the body; give what the tool does to the body,"
@@ -109,7 +109,7 @@ def fit_material(
 
 
 def _scale(bench: Bench, rests: Sequence[Equilibrium]) -> float:
-    """By how much E is too high for bodies by the linear law to move by 3 % of their size.
+    """Return the factor by which E is too high for bodies by the linear law to move by 3 % of their size.
 
     With that displacement points are matched first.
     """

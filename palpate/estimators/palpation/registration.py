@@ -1,8 +1,8 @@
 """Depth points laid onto a surface (ICP).
 
-Besl & McKay 1992 with the distance along the normal instead of between points (Chen & Medioni 1992), and the farthest
-pairs left out, as Frank 2010 (section VI-A) has it after Rusinkiewicz & Levoy 2001: where a tool deforms the object, it
-does not fit the surface at rest.
+It is Besl & McKay 1992 with the distance along the normal instead of between points (Chen & Medioni 1992). The farthest
+pairs are left out (Frank 2010, section VI-A, after Rusinkiewicz & Levoy 2001), since a pressed object does not fit the
+surface at rest.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ Triangles = tuple[np.ndarray, np.ndarray]
 
 
 def turned(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """A pose [4, 4] after a small motion: rotation vector [rad] and shift [m] about the origin, shape [6]."""
+    """Return a pose [4, 4] after a small motion: rotation vector [rad] and shift [m] about the origin, shape [6]."""
     change = np.eye(4)
     change[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix()
     change[:3, 3] = step[3:]
@@ -27,12 +27,12 @@ def turned(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 
 def thinned(points: np.ndarray) -> np.ndarray:
-    """At most MOST_ALIGNED of some points [P, 3], evenly."""
+    """Return at most MOST_ALIGNED of some points [P, 3], evenly."""
     return points[:: max(1, -(-len(points) // MOST_ALIGNED))]
 
 
 def register(points: np.ndarray, surface: Triangles, pose: np.ndarray, shown: float = 1e-3) -> np.ndarray:
-    """Pose that lays points onto a surface.
+    """Return the pose that lays points onto a surface.
 
     Args:
         points: in the sensor's frame, shape [P, 3] [m].

@@ -35,11 +35,11 @@ class SceneFile(Checked):
     """
 
     held_axis: Literal["x", "y", "z"]
-    """Along which `held_below` counts."""
+    """Axis along which `held_below` counts."""
     held_below: float
-    """What lies lower stands still, as on a table [m]."""
+    """Height below which the body stands still, as on a table [m]."""
     palpations: tuple[dict[str, Any], ...]
-    """Each with the fields of `PalpationFile`."""
+    """Palpations, each with the fields of `PalpationFile`."""
     surface: str
     """The surface at rest that encloses the body, an .obj file next to this one [m]."""
     # Cells along the longest side; unknowns grow with their cube.
@@ -85,11 +85,11 @@ class PalpationFile:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a scene's file says, read."""
+    """Scene as read from its file."""
 
     skin: Skin
     held: np.ndarray
-    """Which components of the nodes are fixed, shape [N, 3], bool."""
+    """Mask of the nodes' components that are fixed, shape [N, 3], bool."""
     palpations: list[Palpation]
 
 
@@ -118,22 +118,19 @@ def read_scene(path: Path) -> Scene:
     base = scene.held_below + (1e-9 if low.min() >= scene.held_below - 1e-9 else 0.0)
     still = low <= base
     if (count := int(still.sum())) < 3:
-        problem = f"{printable(path)}: {count} nodes lie below held_below;"
-        raise InputError(f"{problem} give more (lowest: {low.min():.4g} m).")
+        raise InputError(f"{printable(path)}: {count} nodes lie below held_below; raise it (lowest {low.min():.4g} m).")
     body = curve(body, vertices[triangles], still)
     held = np.repeat(still[:, None], 3, axis=1)
-    skin = cover(body, vertices, triangles, vertices[:, axis] <= base)
-    return Scene(skin, held, palpations)
+    return Scene(cover(body, vertices, triangles, vertices[:, axis] <= base), held, palpations)
 
 
 def _palpation(values: dict[str, Any], where: str, folder: Path) -> Palpation:
     each = from_mapping(PalpationFile, values, where)
-    points = read_columns(folder / each.points, ("x", "y", "z"), "table of points")
+    points = read_columns(file := folder / each.points, ("x", "y", "z"), "table of points")
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < FEWEST:
-        why = f"holds {len(points)} points; give the surface as it was seen under the force, {FEWEST} at least"
-        raise InputError(f"{printable(folder / each.points)} {why}.")
-    _require_metres(folder / each.points, points)
+        raise InputError(f"{printable(file)} holds {len(points)} points; give {FEWEST} or more of the pressed surface.")
+    _require_metres(file, points)
     sizes = each.tool_radius, each.hole, each.pose_shift, each.pose_turn
     return Palpation(np.array(each.force), np.array(each.contact), points, np.array(each.pose, np.float64), *sizes)
 
@@ -146,7 +143,7 @@ def _require_metres(path: Path, points: np.ndarray) -> None:
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V, 3] and triangles [F, 3] of a Wavefront file; faces of more corners are fanned out.
+    """Read vertices [V, 3] and triangles [F, 3] of a Wavefront file; faces of more corners are fanned out.
 
     Raises:
         InputError: it can't be read, or holds no triangle.

@@ -19,11 +19,11 @@ from palpate.physics.mesh import crosses, holding
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """V vertices and F triangles on a body of N nodes; made by `cover`."""
+    """Surface of V vertices and F triangles on a body of N nodes; made by `cover`."""
 
     body: Solid
     vertices: np.ndarray
-    """At rest, shape [V, 3] [m]."""
+    """Vertices at rest, shape [V, 3] [m]."""
     triangles: np.ndarray
     """Indices of corners, anticlockwise seen from outside, shape [F, 3]."""
     shares: csr_array
@@ -44,15 +44,15 @@ class Skin:
         return KDTree((ends[:, 0] + along * (ends[:, 1] - ends[:, 0])).reshape(-1, 3))
 
     def from_creases(self, places: np.ndarray) -> np.ndarray:
-        """Distance of places at rest [P, 3] from the closest sharp edge or rim, shape [P] [m]."""
+        """Return the distance of places at rest [P, 3] from the closest sharp edge or rim, shape [P] [m]."""
         return np.full(len(places), np.inf) if self._creases is None else self._creases.query(places)[0]
 
     def moved(self, displacement: np.ndarray) -> np.ndarray:
-        """Vertices where the nodes are displaced [N, 3], shape [V, 3] [m]."""
+        """Return vertices where the nodes are displaced [N, 3], shape [V, 3] [m]."""
         return self.vertices + self.shares @ displacement
 
     def pressed(self, place: np.ndarray, radius: float, force: np.ndarray) -> np.ndarray:
-        """Nodal forces of a force that is spread as 1 - (r/R)² around a place, as `Press.on_patch` spreads it.
+        """Return nodal forces of a force that is spread as 1 - (r/R)² around a place, as `Press.on_patch` spreads it.
 
         Args:
             place: on the surface at rest, shape [3] [m].
@@ -97,7 +97,7 @@ def cover(body: Solid, vertices: np.ndarray, triangles: np.ndarray, held: np.nda
 
 
 def shapes_at(body: Solid, element: np.ndarray, points: np.ndarray) -> csr_array:
-    """Shape functions of a body's nodes at points [P, 3], each in its element [P] or close to it, shape [P, N].
+    """Return shape functions of a body's nodes at points [P, 3], each in its element [P] or close to it, shape [P, N].
 
     Where steps to a place off a curved element lead away, it is the closest that they came to.
     """
@@ -114,17 +114,16 @@ def shapes_at(body: Solid, element: np.ndarray, points: np.ndarray) -> csr_array
         change = np.einsum("pj,pji->pi", beyond, inverse)
         place = place + np.concatenate([-change.sum(axis=1, keepdims=True), change], axis=1)
     index = np.repeat(np.arange(len(points)), nodes.shape[1]), nodes.ravel()
-    values = _shapes(best) if quadratic else best
-    return csr_array((values.ravel(), index), shape=(len(points), len(body.rest)))
+    return csr_array(((_shapes(best) if quadratic else best).ravel(), index), shape=(len(points), len(body.rest)))
 
 
 def _shapes(place: np.ndarray) -> np.ndarray:
-    """Quadratic shape functions at barycentric places [V, 4], shape [V, 10]."""
+    """Return the quadratic shape functions at barycentric places [V, 4], shape [V, 10]."""
     return np.concatenate([place * (2 * place - 1), 4 * place[:, EDGES[:, 0]] * place[:, EDGES[:, 1]]], axis=1)
 
 
 def _normals(corners: np.ndarray) -> np.ndarray:
-    """Outward ones of triangles [F, 3, 3], shape [F, 3]."""
+    """Return outward normals of triangles [F, 3, 3], shape [F, 3]."""
     normals = crosses(corners)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
@@ -146,7 +145,7 @@ class Match:
 
     @classmethod
     def of(cls, points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> "Match":
-        """The closest places to points [P, 3] on triangles [F, 3] of vertices [V, 3]."""
+        """Match points [P, 3] with the closest places on triangles [F, 3] of vertices [V, 3]."""
         corners = vertices[triangles]
         face, shares = nearest(points, corners)
         normal = _normals(corners)[face]
@@ -155,7 +154,7 @@ class Match:
 
     @classmethod
     def along(cls, points: np.ndarray, sights: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> "Match":
-        """Where lines of sight meet the surface, beginning at the closest triangle; distances are along them.
+        """Match points with the places where their lines of sight meet the surface, beginning at the closest triangle.
 
         Args:
             points: shape [P, 3] [m].
@@ -185,5 +184,5 @@ class Match:
         return cls(face, shares, normals[face], distance, apart)
 
     def at(self, triangles: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Values of the vertices [V, …] at the matched places, shape [P, …]."""
+        """Return values of the vertices [V, …] at the matched places, shape [P, …]."""
         return np.einsum("pk,pk...->p...", self.shares, values[triangles[self.face]])

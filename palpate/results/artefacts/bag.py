@@ -15,8 +15,6 @@ from palpate.results.artefacts.base import Artefact
 from palpate.results.artefacts.forces import RELATIVE
 from palpate.results.store import BAGS
 
-WRENCH = WRENCHES[0]
-
 
 class Ros2Bag(Artefact):
     """forces.mcap."""
@@ -54,13 +52,14 @@ def write_bag(kind: str, source: FrameSource, folder: Path, contacts: Sequence[M
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
-    old, types = kind == "ros1", get_typestore(Stores.ROS2_HUMBLE).types
+    old, types, wrench_type = kind == "ros1", get_typestore(Stores.ROS2_HUMBLE).types, WRENCHES[0]
     store = get_typestore(Stores.ROS1_NOETIC if old else Stores.ROS2_HUMBLE)
 
     def wrench(stamp: int, frame_id: str, force: np.ndarray) -> Any:
         time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
         vectors = (types["geometry_msgs/msg/Vector3"](*each) for each in (force.tolist(), (0.0, 0.0, 0.0)))
-        return types[WRENCH](types["std_msgs/msg/Header"](time, frame_id), types["geometry_msgs/msg/Wrench"](*vectors))
+        header = types["std_msgs/msg/Header"](time, frame_id)
+        return types[wrench_type](header, types["geometry_msgs/msg/Wrench"](*vectors))
 
     def messages() -> Iterator[tuple[int, str, Any]]:
         for run in contacts:
@@ -78,7 +77,7 @@ def write_bag(kind: str, source: FrameSource, folder: Path, contacts: Sequence[M
         path, topics, mcap = Path(temporary, "forces"), {}, rosbag2.StoragePlugin.MCAP
         with rosbag1.Writer(path) if old else rosbag2.Writer(path, version=9, storage_plugin=mcap) as writer:
             for stamp, topic, message in sorted(messages(), key=lambda each: each[0]):
-                if (name := message.__msgtype__) == WRENCH:
+                if (name := message.__msgtype__) == wrench_type:
                     message.header.seq = 0  # of ROS 1, which messages of ROS 2 lack
                 topics[topic] = topics.get(topic) or writer.add_connection(topic, name, typestore=store)
                 content = store.serialize_ros1(message, name) if old else store.serialize_cdr(message, name)

@@ -15,18 +15,10 @@ from palpate.estimators.records import FrameEstimate, InteractionEstimate
 if TYPE_CHECKING:
     from palpate.results.writer import ClipResults
 
-ARTEFACTS = Registry(
-    "file",
-    "palpate.artefacts",
-    {
-        name: f"palpate.results.artefacts.{name}"
-        for name in (
-            *("tables:FrameTable", "tables:ContactTable", "tables:CalibratedTable", "forces:ForceFile"),
-            "results:ResultFile",
-            *("overlay:Overlay", "fit:FitPicture", "fields:FieldFile", "export:Export", "bag:Ros1Bag", "bag:Ros2Bag"),
-        )
-    },
-)
+_built_in = ("tables:FrameTable", "tables:ContactTable", "tables:CalibratedTable", "forces:ForceFile")
+_built_in += ("results:ResultFile", "overlay:Overlay", "fit:FitPicture", "fields:FieldFile", "export:Export")
+_built_in += ("bag:Ros1Bag", "bag:Ros2Bag")
+ARTEFACTS = Registry("file", "palpate.artefacts", {name: f"palpate.results.artefacts.{name}" for name in _built_in})
 """Files that are written for a clip, in this order."""
 
 
@@ -45,7 +37,7 @@ class Artefact:
     option: ClassVar[str] = ""
     """Option of the program that asks for it; empty where it is always written."""
     pictures: ClassVar[bool] = False
-    """Whether `frame` needs pictures and labels."""
+    """True if `frame` needs pictures and labels."""
     columns: Mapping[str, str] | None = None
     """Columns of a table, each with what it is, for run.json."""
 
@@ -55,7 +47,7 @@ class Artefact:
 
     @classmethod
     def wanted(cls, options: argparse.Namespace, estimator: Estimator) -> bool:
-        """Whether the options of the program and the estimator ask for it."""
+        """Return whether the options of the program and the estimator ask for it."""
         return not cls.option or getattr(options, cls.option) not in (None, False)
 
     def open(self) -> None:

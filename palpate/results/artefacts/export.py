@@ -41,10 +41,8 @@ class Export(Artefact):
 
     def warnings(self) -> Iterator[str]:
         if self._missing:
-            yield (
-                f"{self._missing} of {self.clip.counts.total()} runs of contact were not exported, as not all that "
-                "simulating them takes is known: see verdict in interactions.csv"
-            )
+            why = "as not all that simulating them takes is known: see verdict in interactions.csv"
+            yield f"{self._missing} of {self.clip.counts.total()} runs of contact were not exported, {why}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +95,7 @@ def _press(found: PressResult, contact: Interaction, mechanics: Mechanics, times
 
 
 def _field(found: FieldResult) -> Deformation:
-    if not found.explained:
+    if not found.last.explained:
         raise NoEstimate("The simulation of tissue under the instrument alone does not explain the motion.")
     last, session = found.last, found.driven.session
     rest, places = found.driven.surface.body.rest, np.stack(found.driven.past)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MOST_PANELS = 12
 """Number of contacts that are drawn."""
-OBSERVED, SIMULATED, RELEASE = "#4b5563", "#7c3aed", "#ea580c"
+OBSERVED, SIMULATED = "#4b5563", "#7c3aed"
 
 
 class FitPicture(Artefact):
@@ -101,12 +101,12 @@ def write_figure(path: Path, figure: Figure) -> None:
 
 
 def _moves(run: InteractionEstimate) -> bool:
-    """Whether a contact has a motion to draw."""
+    """Return whether a contact has a motion to draw."""
     return run.beside is not None or run.simulated is not None
 
 
 def _described(run: InteractionEstimate) -> tuple[str, list[str]]:
-    """Heading of a contact, the verdict first and no number surer than it, and lines of what is said of it."""
+    """Return the heading of a contact, verdict first, and lines of explanation."""
     press, pull, explained = run.estimate, run.grip, ""
     heading = f"{in_words(state(run))}: contact from frame {run.onset_frame}"
     if pull is not None and run.beside is pull:
@@ -137,11 +137,11 @@ def _draw_motion(axes: Axes, run: InteractionEstimate) -> None:
         axes.plot(run.simulated[0], sign * run.simulated[1], lw=2, color=SIMULATED, label="simulated with the fit")
         release = contact.load_seconds + estimate.course.delays[1]
         if contact.released and release < times[-1]:
-            axes.axvline(release, color=RELEASE, lw=1.5, ls="--", label=f"release, {release:.3f} s")
+            axes.axvline(release, color="#ea580c", lw=1.5, ls="--", label=f"release, {release:.3f} s")
         axes.set_ylabel("displacement along the force\n[scene units (normalised)]")
 
 
 def _lines(text: str, width: int = 140) -> list[str]:
-    """A text in lines, as matplotlib shows it letter by letter."""
+    """Wrap a text into lines that matplotlib shows letter by letter."""
     # Stand-ins for bytes of file names that are not UTF-8 can't be drawn, and a pair of $ would begin a formula.
     return [line.replace("$", r"\$") for line in textwrap.wrap(text.encode("utf-8", "replace").decode(), width)]

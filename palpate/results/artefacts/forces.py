@@ -26,7 +26,6 @@ RELATIVE = "of this contact's own peak (relative, not N)"
 SAME_INSTANT = 1e-6
 """Times nearer to each other than this are one [s]."""
 LATER = "What the force is after the part of the contact that was observed and estimated is not known."
-STILL = "Frames without a picture, or in which too little moves, tell no force."
 
 
 class ForceFile(Artefact):
@@ -68,7 +67,7 @@ class ContactForce:
         newtons: np.ndarray | None = None,
         seconds: float = math.inf,
     ) -> "ContactForce":
-        """The force of a run that has ended.
+        """Return the force of a run that has ended.
 
         Args:
             run: the run.
@@ -87,7 +86,8 @@ class ContactForce:
         if run.field is not None:
             why = "--estimator online tells no force."
         elif pull is not None and found is pull:
-            unit, why = RELATIVE if newtons is None else "N, by the force that was measured for a while", STILL
+            unit = RELATIVE if newtons is None else "N, by the force that was measured for a while"
+            why = "Frames without a picture, or in which too little moves, tell no force."
             curves = _between(run.onset_time_s + pull.times, pull.curves if newtons is None else newtons, times)
         elif press is not None:
             direction = None if run.interaction is None else np.sign(press.theta[2]) * run.interaction.direction
@@ -102,7 +102,8 @@ class ContactForce:
         return cls(*place, np.array(touched, int), curves, unit, why, pressed, direction, ratio)
 
     def in_newtons(self, row: Mapping[str, Any]) -> "ContactForce":
-        """A press's in newtons, by its row of calibrated.csv; the same where that does not determine the force."""
+        """Convert a press's force to newtons by its row of calibrated.csv; unchanged where that does not determine the
+        force."""
         if "force" not in row.get("determined", "").split(";") or not np.isfinite(self.pressed).any():
             return self
         curves = np.stack([self.pressed * row.get(f"force{end}", math.nan) for end in ENDS])
@@ -118,7 +119,7 @@ class ContactForce:
         return np.concatenate([curves[:1] / peak, np.sort(curves[1:] / peak, axis=0)])
 
     def record(self, estimates: Sequence[FrameEstimate], lasts: np.ndarray) -> dict[str, Any]:
-        """Entry of the run in forces.json.
+        """Return the entry of the run in forces.json.
 
         Args:
             estimates: of all of the clip's frames.
@@ -143,7 +144,7 @@ class ContactForce:
         return found | {f"force{end}": curve for end, curve in zip(ENDS, curves, strict=True)}
 
     def in_millimetres(self, length: ClipLength | None) -> dict[str, Any]:
-        """|F|/k_s in millimetres, where a scene unit's length is known.
+        """Return |F|/k_s in millimetres, where a scene unit's length is known.
 
         The errors of both are independent of each other, so that their logarithms' variances add up.
         """
@@ -161,7 +162,7 @@ def forces_record(
     calibrated: Sequence[Mapping[str, Any]] = (),
     length: ClipLength | None = None,
 ) -> dict[str, Any]:
-    """The content of forces.json.
+    """Return the content of forces.json.
 
     Args:
         contacts: the clip's runs of contact.
@@ -175,12 +176,11 @@ def forces_record(
     rows = {row["onset_frame"]: row for row in calibrated}
     scaled = [contact.in_newtons(rows.get(contact.onset_frame, {})) for contact in contacts]
     records = [contact.record(estimates, lasts) | contact.in_millimetres(length) for contact in scaled]
-    notice = "Research software, not a medical device."
-    return {"notice": notice, "contacts": records}
+    return {"notice": "Research software, not a medical device.", "contacts": records}
 
 
 def _pressed(run: InteractionEstimate, found: PressResult, since: np.ndarray, seconds: float) -> np.ndarray:
-    """A press's force over F at times since the onset, shape [T]; not a number after what was observed of it."""
+    """Return a press's force over F at times since the onset, shape [T]; not a number after its last observation."""
     shape, (delay, release) = found.course.shape or PressShape(), found.course.delays
     last, contact = math.inf if found.light else seconds, run.interaction
     observed = None if contact is None else contact.shading if found.light else contact.observation
@@ -192,12 +192,12 @@ def _pressed(run: InteractionEstimate, found: PressResult, since: np.ndarray, se
 
 
 def _risen(since: np.ndarray, duration: float) -> np.ndarray:
-    """Share of a ramp of some duration that has risen since it began, shape as given."""
+    """Return the share of a ramp of some duration that has risen since it began, shape as given."""
     return np.clip(since / duration, 0, 1) if duration else (since >= -SAME_INSTANT).astype(np.float64)
 
 
 def _between(kept: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Curves [C, K] at other times, shape [C, T]; not a number where frames are missing.
+    """Return curves [C, K] at other times, shape [C, T]; not a number where frames are missing.
 
     Of a long pull every n-th frame is kept, and the force between two of them that follow on is on the line between.
     """

@@ -47,7 +47,7 @@ class ResultFile(Artefact):
 
 
 def _values(table: Table, *rows: Any) -> dict[str, Any]:
-    """Values of a table's row by column, with the digits of the CSV file; None where nothing is known."""
+    """Return values of a table's row by column, with the digits of the CSV file; None where nothing is known."""
     known, found = table.known(*rows), dict[str, Any]()
     for name, cell in zip(table.columns, table.row(*rows), strict=True):
         value = known.get(name)

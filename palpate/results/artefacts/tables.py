@@ -15,7 +15,7 @@ class TableFile(Artefact):
 
     table: Table
     described = False
-    """Whether run.json describes the columns."""
+    """True if run.json describes the columns."""
 
     def open(self) -> None:
         self._file = self.path.open("w", encoding="utf-8", errors="replace", newline="")

@@ -11,8 +11,6 @@ from palpate.results import store
 from palpate.results.artefacts.forces import RELATIVE
 from palpate.results.verdicts import NOTES, OWN_UNITS, in_words, numbers, rounded
 
-CURVES = ("stiffness", "stiffness_low", "stiffness_high")
-"""Columns of frames and contacts that are drawn over time."""
 FIXES = {
     "was trained on": "Give depth and masks from the sources that the model was trained on, or another --model.",
     "masks": "Look at the overlay. Where an instrument's outline is wrong, draw it by palpate outline CLIP, and give "
@@ -24,18 +22,15 @@ FIXES = {
     "reached the limit": "The limit is that of --force-limit.",
 }
 """Remedies for a warning that has these words."""
-QUESTIONS = {"k_s": "How stiff?", "k_d": "How damped?", "|F|": "How hard?", "mean F": "How hard?"}
-QUESTIONS |= {"k_d/k_s": "Damping over stiffness", "|F|/k_s": "Force over stiffness"}
-"""Headings of numbers by symbol."""
 
 
 def clip_folders(output: Path) -> list[Path]:
-    """Folders of complete clips in a folder of results, by name."""
+    """Return folders of complete clips in a folder of results, by name."""
     return [path for path in sorted(output.iterdir()) if not path.name.startswith(".") and store.read_record(path)]
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """Content about a clip on the page of a batch: name, runs of contact and frames by what was found, warnings.
+    """Return facts about a clip on the page of a batch: name, runs of contact and frames by what was found, warnings.
 
     Raises:
         KeyError, TypeError, ValueError: the record is damaged, or of another version.
@@ -56,7 +51,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
 
 
 def clip_of(folder: Path) -> dict[str, Any]:
-    """Content of a clip's page.
+    """Return the content of a clip's page.
 
     Raises:
         OSError: a file can't be read.
@@ -79,20 +74,21 @@ def clip_of(folder: Path) -> dict[str, Any]:
         "states": [_explained(name, states[name]) for name in names],
         "warnings": warnings,
         "fixes": {fix: FIXES[fix] for _, fix in warnings if fix in FIXES},
-        "questions": QUESTIONS,
+        "questions": {"k_s": "How stiff?", "k_d": "How damped?", "|F|": "How hard?", "mean F": "How hard?"}
+        | {"k_d/k_s": "Damping over stiffness", "|F|/k_s": "Force over stiffness"},
         "own_units": OWN_UNITS,
         "curves": _curves(record, frames, contacts, first),
     }
 
 
 def _fix(warning: str, states: Iterable[str]) -> str:
-    """Anchor of what to do about a warning, a status or a key of FIXES; empty where there is none."""
+    """Return the anchor of the remedy for a warning, a status or a key of FIXES; empty where there is none."""
     found = [name for name in states if f"are {name}" in warning] + [words for words in FIXES if words in warning]
     return found[0] if found else ""
 
 
 def contacts_of(folder: Path) -> list[dict[str, Any]]:
-    """Content about a video's contacts."""
+    """Return facts about a video's contacts."""
     report, runs = _json(folder / store.REPORT)["contacts"], _json(folder / store.RESULTS)["contacts"]
     found = []
     for run, forces in zip(runs, report, strict=True):
@@ -104,13 +100,14 @@ def contacts_of(folder: Path) -> list[dict[str, Any]]:
 
 
 def _explained(name: str, count: int = 0) -> dict[str, Any]:
-    """A verdict or a status in words, what it means, and what to do about it."""
+    """Return a verdict or a status in words, what it means, and what to do about it."""
     note = NOTES.get(name, NOTES["doubtful"])
     return {"name": name, "words": in_words(name), "count": count, "means": note.text, "do": note.remedy}
 
 
 def contact_numbers(run: Mapping[str, Any], force: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return symbol, text and unit of what is known of a contact, in physical units where it is determined in those.
+    """Return the symbol, text and unit of what is known of a contact, in physical units where it is determined in
+    those.
 
     Args:
         run: the contact as results.json has it.
@@ -128,9 +125,10 @@ def contact_numbers(run: Mapping[str, Any], force: Mapping[str, Any]) -> list[tu
 def _curves(
     record: Mapping[str, Any], frames: list[dict[str, Any]], contacts: list[dict[str, Any]], first: Any
 ) -> dict[str, Any]:
-    """Values that the page's script draws, by frame and by contact; what is not known is None."""
+    """Return values that the page's script draws, by frame and by contact; what is not known is None."""
     found: dict[str, Any] = {"fps": record["input"]["fps"], "contacts": []}
-    for name in ("frame", "time_s", *CURVES):
+    drawn = ("stiffness", "stiffness_low", "stiffness_high")
+    for name in ("frame", "time_s", *drawn):
         found[name] = [frame[name] for frame in frames]
     # The page opens at the last frame of the contact that is known best.
     *_, end = [-1.0] if first is None else [-1.0, *first["forces"]["time_s"]]
@@ -143,7 +141,7 @@ def _curves(
     for contact in contacts:
         row, forces = contact["row"], contact["forces"]
         # A pull determines no stiffness: its press, if one was fitted, would only hide the rest.
-        values = {name: None if contact["name"] == "relative_force" else row[name] for name in CURVES}
+        values = {name: None if contact["name"] == "relative_force" else row[name] for name in drawn}
         values |= {"sure": "stiffness" in row["determined"], "words": contact["words"], "flat": contact["flat"]}
         values |= {x: forces[x] for x in ("unit", "time_s", "frame_s", "force", "force_low", "force_high")}
         found["contacts"].append(values)
@@ -151,7 +149,7 @@ def _curves(
 
 
 def _coded(texts: Sequence[str]) -> dict[str, Any]:
-    """Texts that repeat, as their places in a list of them."""
+    """Return texts that repeat, as their places in a list of them."""
     places = {name: place for place, name in enumerate(dict.fromkeys(texts))}
     return {"names": list(places), "words": list(map(in_words, places)), "index": [places[text] for text in texts]}
 

@@ -1,4 +1,4 @@
-"""Writes the pages of a folder of results. Jinja2 is imported where a page is made: programs start without it."""
+"""Renderer of the pages of a folder of results. Jinja2 is imported where a page is made: programs start without it."""
 
 from __future__ import annotations
 
@@ -16,30 +16,26 @@ from palpate.results.verdicts import NOTES
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-Failure = tuple[str, str]
-"""Name of a clip that has no results, and the sentence that says why."""
-INDEX, CLIP = store.PAGES
 
-
-def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> Path:
+def write_pages(output: Path, failed: Iterable[tuple[str, str]] = (), *, anew: bool) -> Path:
     """Write the page of a folder of results, and those of its clips; returns the former.
 
     Args:
         output: the folder.
-        failed: clips of this batch without results.
+        failed: names of this batch's clips without results, each with the sentence that says why.
         anew: whether to write all clips' pages, not only those that are missing or older than their results.
 
     Raises:
         OutputError: a page can't be written, or a file that this program did not write is in its place.
     """
     environment, rows, failures, foreign = _environment(), [], list(failed), None
-    colors = {name: note.color for name, note in NOTES.items()}
+    (index, clip_page), colors = store.PAGES, {name: note.color for name, note in NOTES.items()}
     with store.writing(output):
         for folder in clip_folders(output):
-            page, text = folder / CLIP, ""
+            page, text = folder / clip_page, ""
             try:
                 summary, made = summary_of(folder), (folder / store.RECORD).stat().st_mtime_ns
-                if summary["page"] == CLIP and (anew or not page.exists() or page.stat().st_mtime_ns < made):
+                if summary["page"] == clip_page and (anew or not page.exists() or page.stat().st_mtime_ns < made):
                     shown = clip_of(folder)
                     text = environment.get_template("clip.html").render(clip=shown, colors=colors)
             except Exception as error:  # whatever a damaged folder holds, the other clips have their pages
@@ -53,15 +49,15 @@ def write_pages(output: Path, failed: Iterable[Failure] = (), *, anew: bool) -> 
             except ForeignFile as error:
                 foreign = error
         shown = {"clips": rows, "failures": failures, "colors": colors}
-        write_own(output / INDEX, environment.get_template("index.html").render(shown))
+        write_own(output / index, environment.get_template("index.html").render(shown))
         if foreign is not None:
             raise foreign
-    return output / INDEX
+    return output / index
 
 
 @functools.cache
 def _environment() -> Environment:
-    """Templates whose every value is escaped: names of files are a user's."""
+    """Return templates whose every value is escaped: names of files are a user's."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     space: dict[str, Any] = dict.fromkeys(("trim_blocks", "lstrip_blocks", "keep_trailing_newline"), True)
@@ -74,5 +70,5 @@ def _environment() -> Environment:
 
 
 def _cell(value: Any) -> str:
-    """A number of a JSON file as tables show it; a dash where there is none."""
+    """Return a number of a JSON file as tables show it; a dash where there is none."""
     return "–" if value is None or value == "" else f"{value:.4g}" if isinstance(value, float) else str(value)

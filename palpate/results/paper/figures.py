@@ -34,7 +34,7 @@ def _draw_fan(axes: Axes, times: np.ndarray, relative: np.ndarray, release: np.n
 
 
 def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mechanics) -> Figure:
-    """Figure 3: heat map sorted by peak (a) and fan chart (b), with the release marked in both.
+    """Draw figure 3: heat map sorted by peak (a) and fan chart (b), with the release marked in both.
 
     Displacements are relative to the highest peak of all; trajectories that aren't finite are left out and counted.
 
@@ -48,10 +48,8 @@ def draw_response(trajectories: np.ndarray, release: np.ndarray, mechanics: Mech
     order = finite[np.argsort(-distance[finite].max(axis=1), kind="stable")]
     peak = distance[order].max(initial=0.0)
     figure = Figure(figsize=(11, 4.6), dpi=150, layout="constrained")
-    figure.suptitle(
-        f"Simulated displacement of the contact vertex, predicted θ; 1 = highest peak, {peak:.3g} scene units; "
-        f"left out, not finite: {len(distance) - len(order)}"
-    )
+    title = f"Simulated displacement of the contact vertex, predicted θ; 1 = highest peak, {peak:.3g} scene units"
+    figure.suptitle(f"{title}; left out, not finite: {len(distance) - len(order)}")
     if len(order):
         left, right = figure.subplots(1, 2)
         shown = mechanics.times, distance[order] / (peak or 1.0), release[order]

@@ -27,12 +27,6 @@ REGIMES = {
     "no motion": "error_no_motion",
 }
 """Column of the table of frames by simulated parameters, in the order of tables."""
-DEPTHS = {
-    "decoded next depth": "next_depth_error",
-    "last frame repeated": "copy_error",
-    "θ in the farthest corner of the box": "theta_sensitivity",
-}
-"""Column of the table of frames by what is compared with the next depth map (the last: with the decoded one)."""
 FILES = "figure3.png", "table_2.csv", "comparisons.csv", "depth.csv", "motion.csv", "spread.csv", "per_frame.csv"
 
 
@@ -61,15 +55,17 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
         EvaluationError: there are no records.
     """
     if not records:
-        problem = "no test pair is in contact, so there is nothing to evaluate;"
-        raise EvaluationError(f"{problem} check the split and the counts by status that the data preparation prints.")
+        raise EvaluationError("no test pair is in contact; check the split, and the preparation's counts by status.")
     records = sorted(records, key=lambda record: (record["clip"], record["frame"]))
     contacts = [
         Interaction(one["mesh"], one["load"], {"point": one["observation"]}, mechanics.time_step) for one in records
     ]
     names = "theta", "trajectory", "reference_trajectory"
     theta, predicted, reference = (np.array([record[name] for record in records], float) for name in names)
-    frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *DEPTHS.values()])
+    # Columns by what is compared with the next depth map (the last: with the decoded one).
+    depths = {"decoded next depth": "next_depth_error", "last frame repeated": "copy_error"}
+    depths |= {"θ in the farthest corner of the box": "theta_sensitivity"}
+    frames = pd.DataFrame(records, columns=["clip", "frame", *list(REGIMES.values())[:2], *depths.values()])
     frames[list(PARAMETERS)] = as_reported(theta, bounds)
     constant = simulated.fit_constant_theta(training, bounds, mechanics)[0]
     frames["error_constant"] = simulated.simulate_contacts(constant, contacts, mechanics)[1] if training else np.nan
@@ -84,17 +80,15 @@ def analyse(records: list[Record], training: list[Interaction], mechanics: Mecha
     motion = {name: simulated.motion_row(settled[name]) | share for name, share in shares.items()}
     both = zip(clips, contacts, strict=True)
     motions = {(clip, one.observation.times.tobytes(), one.moved.tobytes()) for clip, one in both}
+    compared = {name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED}
     tables: dict[str, dict[str, dict[str, Any]]] = {
         "table_2.csv": {name: summarise(values, clips) for name, values in errors.items()},
-        "comparisons.csv": {
-            name: compare(errors[PREDICTED], errors[name], clips) for name in errors if name != PREDICTED
-        },
-        "depth.csv": {name: summarise(frames[column], clips) for name, column in DEPTHS.items()},
+        "comparisons.csv": compared,
+        "depth.csv": {name: summarise(frames[column], clips) for name, column in depths.items()},
         "motion.csv": motion,
     }
     found = {name: pd.DataFrame.from_dict(dict(rows), orient="index") for name, rows in tables.items()}
-    spread = spread_of(frames, bounds, len(motions))
-    found["spread.csv"] = spread.assign(constant=as_reported(constant, bounds))
+    found["spread.csv"] = spread_of(frames, bounds, len(motions)).assign(constant=as_reported(constant, bounds))
     found["per_frame.csv"] = frames.join(settled[PREDICTED]).set_index("clip")
     return Evaluation(found, predicted, constant)
 

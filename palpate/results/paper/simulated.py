@@ -1,8 +1,8 @@
 """Simulated motions, and the baselines that an estimate has to beat: one constant θ for everything, and no motion.
 
 A predictor that has collapsed to a constant looks good against badly chosen constants, so the constant here is the best
-one that the training contacts allow. Of motions: when the released tissue comes to rest (Bini 2026, section 4.2), and
-which leave the scene.
+one for the training contacts. Motions are described by when the released tissue comes to rest (Bini 2026, section 4.2),
+and which leave the scene.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ MAX_ITERATIONS = 10
 
 
 def no_motion_errors(contacts: Sequence[Interaction], mechanics: Mechanics) -> np.ndarray:
-    """Displacement errors [n] when nothing moves, F = 0 [scene units²]."""
+    """Return displacement errors [n] when nothing moves, F = 0 [scene units²]."""
     return displacement_error(torch.zeros(len(contacts), mechanics.steps, 3), _observed(contacts)).double().numpy()
 
 
@@ -34,7 +34,7 @@ def _observed(contacts: Sequence[Interaction]) -> ObservationBatch:
 
 
 def _rolled_out(theta: Tensor, contacts: Sequence[Interaction], mechanics: Mechanics) -> Tensor:
-    """Contact-vertex displacements [n, T, 3] of every contact with its own θ [n, 3]."""
+    """Return contact-vertex displacements [n, T, 3] of every contact with its own θ [n, 3]."""
     return rollout(theta, [contact.mesh for contact in contacts], [contact.load for contact in contacts], mechanics)
 
 
@@ -52,20 +52,20 @@ def simulate_contacts(
     Returns:
         Contact-vertex displacements [n, T, 3] [scene units] and displacement errors [n] [scene units²].
     """
-    each = torch.tensor(theta, dtype=torch.float32).expand(len(contacts), 3)
-    trajectories = _rolled_out(each, contacts, mechanics)
+    trajectories = _rolled_out(torch.tensor(theta, dtype=torch.float32).expand(len(contacts), 3), contacts, mechanics)
     return trajectories.numpy(), displacement_error(trajectories, _observed(contacts)).double().numpy()
 
 
 def _warped_box(bounds: Bounds) -> tuple[Tensor, Tensor, Tensor]:
-    """The scale [3] at which each parameter's search turns from even to exponential, and the box in its coordinates."""
+    """Return the scale [3] at which each parameter's search turns from even to exponential, and the box in its
+    coordinates."""
     lower, upper = torch.tensor([bounds.lower, bounds.upper], dtype=torch.float64)
     scale = torch.maximum(lower.abs(), upper.abs()) / 1000.0
     return scale, torch.asinh(lower / scale), torch.asinh(upper / scale)
 
 
 def to_theta(unit: Tensor, bounds: Bounds) -> Tensor:
-    """θ of search coordinates in [0, 1]³.
+    """Return θ of search coordinates in [0, 1]³.
 
     Displacements that fit real scenes lie at a small fraction of the paper's ranges, so coordinates are spread
     exponentially away from 0; both ends stay reachable.
@@ -75,7 +75,7 @@ def to_theta(unit: Tensor, bounds: Bounds) -> Tensor:
 
 
 def to_unit(theta: Tensor, bounds: Bounds) -> Tensor:
-    """Search coordinates of θ, the inverse of `to_theta`."""
+    """Return search coordinates of θ, the inverse of `to_theta`."""
     scale, low, high = _warped_box(bounds)
     return (torch.asinh(theta / scale) - low) / (high - low)
 
@@ -123,7 +123,7 @@ def fit_constant_theta(contacts: list[Interaction], bounds: Bounds, mechanics: M
 
 
 def distances(trajectories: np.ndarray) -> np.ndarray:
-    """Lengths [n, T] of displacements [n, T, 3]; not a number throughout a trajectory that isn't finite."""
+    """Return lengths [n, T] of displacements [n, T, 3]; not a number throughout a trajectory that isn't finite."""
     found = np.linalg.norm(np.asarray(trajectories, dtype=float), axis=2)
     return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, np.nan)
 
@@ -161,7 +161,8 @@ def settle(trajectories: np.ndarray, load_steps: np.ndarray, mechanics: Mechanic
 
 
 def median_share(trajectories: np.ndarray) -> float:
-    """Height to which the median displacement rises, as a share of the highest peak of all (Bini 2026, figure 3b).
+    """Return the height to which the median displacement rises, as a share of the highest peak of all (Bini 2026,
+    figure 3b).
 
     Args:
         trajectories: as in `settle`; those that aren't finite are left out.
@@ -173,7 +174,7 @@ def median_share(trajectories: np.ndarray) -> float:
 
 
 def motion_row(settling: pd.DataFrame) -> dict[str, object]:
-    """One regime's motions, as `settle` gives them, in numbers, for reading."""
+    """Summarise one regime's motions, as `settle` gives them, in numbers for reading."""
     states = "settled", "not reached", "no release", "no motion", "not finite"
     return {
         "median settling time [s]": settling["settling_time_s"].median(),

@@ -1,9 +1,9 @@
 """Means, intervals and paired tests of the evaluation's errors (Bini 2026, section 4.1 and table 2).
 
-Frames of one clip are autocorrelated, and the paper's tests take frames as independent, so every mean and every
+Frames of one clip are autocorrelated, and the paper's tests take frames as independent. So every mean and every
 difference also gets a bootstrap over whole clips. The spread of the estimates shows whether they have collapsed to a
-constant: the paper reports k_s = 0.508 ± 0.003 on a range of [0, 1] whose middle is where an untrained sigmoid sits.
-A number that can't be computed is NaN.
+constant. The paper reports k_s = 0.508 ± 0.003 on a range of [0, 1], in whose middle an untrained sigmoid sits. A
+number that can't be computed is NaN.
 """
 
 import math
@@ -19,11 +19,10 @@ from palpate.physics.mechanics import PARAMETERS, Bounds
 
 Statistics = dict[str, float]
 Interval = tuple[float, float]
-NO_INTERVAL = math.nan, math.nan
 
 
 def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["BCa", "percentile"]) -> Interval:
-    """Interval of a mean over paired resamples."""
+    """Return the interval of a mean over paired resamples."""
     low, high = stats.bootstrap(
         samples, mean, paired=True, vectorized=True, n_resamples=10_000, confidence_level=0.95, method=method,
         batch=500, rng=np.random.default_rng(0),
@@ -32,17 +31,18 @@ def _bootstrap(samples: Sequence[np.ndarray], mean: Callable, method: Literal["B
 
 
 def bca_interval(values: pd.Series) -> Interval:
-    """BCa bootstrap interval of the mean of values [n], taken as independent."""
+    """Return the BCa bootstrap interval of the mean of values [n], taken as independent."""
     if len(values) < 5 or values.nunique() == 1:
-        return NO_INTERVAL
+        return math.nan, math.nan
     return _bootstrap((values.to_numpy(),), np.mean, "BCa")
 
 
 def clip_interval(values: pd.Series, clips: np.ndarray) -> Interval:
-    """Percentile interval of the mean of values [n] over resamples of whole clips, whose names [n] are `clips`."""
+    """Return the percentile interval of the mean of values [n] over resamples of whole clips, whose names [n] are
+    `clips`."""
     by_clip = values.groupby(clips)
     if by_clip.ngroups < 3:
-        return NO_INTERVAL
+        return math.nan, math.nan
 
     def mean(totals: np.ndarray, sizes: np.ndarray, axis: int = -1) -> np.ndarray:
         return totals.sum(axis=axis) / sizes.sum(axis=axis)
@@ -56,7 +56,7 @@ def _intervals(values: pd.Series, clips: np.ndarray) -> Statistics:
 
 
 def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:
-    """Mean, SD (n − 1) and both intervals of the finite among the values [n] from the clips [n]."""
+    """Return mean, SD (n − 1) and both intervals of the finite among the values [n] from the clips [n]."""
     finite = np.isfinite(values)
     kept, names = pd.Series(np.asarray(values, dtype=float)[finite]), np.asarray(clips)[finite]
     counts = {"frames": len(kept), "clips": len(np.unique(names)), "left_out": int(np.count_nonzero(~finite))}
@@ -64,7 +64,7 @@ def summarise(values: ArrayLike, clips: ArrayLike) -> Statistics:
 
 
 def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statistics:
-    """Paired statistics of two regimes' errors on the same frames; pairs with an error that isn't finite are left out.
+    """Compare two regimes' errors on the same frames; pairs with an error that isn't finite are left out.
 
     Differences are baseline − regime, so positive means that the regime is better; tests are two-sided; Cohen's d is
     the paired d_z = mean(difference)/SD(difference) = t/√n, the variant behind the paper's 0.390.
@@ -100,12 +100,12 @@ def compare(regime: ArrayLike, baseline: ArrayLike, clips: ArrayLike) -> Statist
 
 
 def as_reported(theta: np.ndarray, bounds: Bounds) -> np.ndarray:
-    """θ [..., 3] with the force as a magnitude, unless its range crosses 0."""
+    """Return θ [..., 3] with the force as a magnitude, unless its range crosses 0."""
     return np.abs(theta) if bounds.force[1] <= 0 else theta
 
 
 def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFrame:
-    """Spread of the parameters, as reported, over the test frames in the admissible box.
+    """Return the spread of the parameters, as reported, over the test frames in the admissible box.
 
     Args:
         frames: one row a test frame with its parameters.
@@ -130,5 +130,4 @@ def spread_of(frames: pd.DataFrame, bounds: Bounds, contacts: int) -> pd.DataFra
     )
     # SD over the admissible range, and over the mean where the range is far too wide for the scene.
     constant = (spread["sd_of_range"] < 0.02) & ~(spread["sd_of_mean"] >= 0.2)
-    few = contacts < 3
-    return spread.assign(verdict="n too small" if few else np.where(constant, "constant", "varies"))
+    return spread.assign(verdict="n too small" if contacts < 3 else np.where(constant, "constant", "varies"))

@@ -71,7 +71,7 @@ def test_doubts_name_a_model_that_explains_more_and_delays_at_the_end_of_their_r
     refuted = dataclasses.replace(ESTIMATE, refuted="Another explains it better.")
     assert (refuted.explained, refuted.verdict, refuted.determined) == (False, "undetermined", ())
     assert ESTIMATE.explained
-    assert "begun or ended a whole frame" in doubted(course=PressCourse(0.04, at_end=True))
+    assert "begin or end a whole frame" in doubted(course=PressCourse(0.04, at_end=True))
     assert "begun" not in doubted(course=PressCourse(0.01))
 
 

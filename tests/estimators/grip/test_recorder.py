@@ -128,7 +128,7 @@ def test_a_grip_whose_points_are_lost_is_a_sentence() -> None:
     found = run(12, 1.5)
     near = found._follower.distance < module.DRIVEN
     found._kept[3].moved[near] = np.nan
-    with pytest.raises(NoEstimate, match=r"^0 tissue points at the instrument are seen in all frames; 20 are needed"):
+    with pytest.raises(NoEstimate, match=r"^0 points at the tool are seen in all frames; 20 are needed"):
         found.estimate()
 
 

@@ -107,7 +107,7 @@ def test_a_run_says_what_is_explained_and_that_theta_is_not_told(results: Path) 
 def test_a_clip_without_a_driving_tool_says_so_in_a_sentence(results: Path) -> None:
     record = json.loads((results / "still" / "run.json").read_text())
     (warning,) = [each for each in record["warnings"] if "stretch" in each]
-    assert "the online estimator needs a clip whose tool drives the tissue" in warning
+    assert "give a clip whose tool drives tissue" in warning
     assert {row["distance_stiffness"] for row in read_rows(results / "still" / "parameters.csv")} == {""}
 
 

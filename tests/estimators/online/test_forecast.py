@@ -32,7 +32,7 @@ def test_a_sheet_s_ratio_is_found_from_its_own_motion() -> None:
             frame = pulled(lattice, way)
             frames.append(GripFrame(lattice.motion(frame, ratio), frame.gripped))
         assert lattice.ratio(frames) == ratio
-    with pytest.raises(NothingMoves, match="In none of 1 frames"):
+    with pytest.raises(NothingMoves, match="in none of 1 frames"):
         lattice.ratio([pulled(lattice, 0.1)])
 
 

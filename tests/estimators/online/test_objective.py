@@ -97,9 +97,3 @@ def test_slopes_by_logits_equal_finite_differences():
     up, down = (PAPER.fields(logits + sign * 1e-6 * direction, 0.0) for sign in (1, -1))
     change = sum((slopes[one] * (up[one] - down[one])).sum() for one in (0, 1)) / 2e-6
     assert (PAPER.by_logits(FIELDS, slopes) * direction).sum() == pytest.approx(change, rel=1e-7)
-
-
-def test_what_lies_outside_is_refused():
-    for shape in (0.15, 0.02, 0.0):  # the paper's first start, and the bounds themselves
-        with pytest.raises(ValueError, match=r"stiffness of shape begins on its bounds, 0 and 0\.02"):
-            PAPER.logits(FIELDS._replace(shape=np.full(3, shape)))

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import eye_array
 
 from palpate.estimators.online.objective import Objective, Tracks
-from palpate.estimators.online.session import SNAPSHOTS, WINDOW, Adam, Method, Session
+from palpate.estimators.online.session import Adam, Method, Session
 from palpate.physics.load import Grip
 from palpate.physics.pbd.simulation import Stepping, simulate
 from palpate.physics.pbd.stiffness import Stiffness
@@ -98,8 +98,7 @@ def test_snapshots_are_four_of_the_last_twenty_frames():
         counts.append(len(session._snapshots()))
     assert counts[:6] == [1, 2, 3, 4, 4, 4]
     kept = [next(i for i, past in enumerate(session._past) if past is state) for state in session._snapshots()]
-    assert (len(session._past), kept) == (WINDOW, [0, 6, 13, 19])
-    assert len(kept) == SNAPSHOTS
+    assert (len(session._past), kept) == (20, [0, 6, 13, 19])
 
 
 @pytest.mark.parametrize(

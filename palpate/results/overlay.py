@@ -163,7 +163,7 @@ def _second_line(estimate: FrameEstimate) -> str:
         return f"Stiffness against stretch, relative: red {RANGE:g} times the median, blue a {RANGE:g}th."
     shown = []
     if press is not None:
-        shown = numbers(estimate.verdict, values_of(press.numbers) | {"determined": ";".join(press.determined)})
+        shown = numbers(estimate.verdict, values_of(press.numbers) | {"determined": press.determined})
     if shown := [each for each in shown if "±" in each[1]] or shown:
         return "   ".join([*map(" ".join, shown), "(f, u: scene units)"])
     return estimate.detail or NOTES[state(estimate)].text

@@ -106,9 +106,10 @@ def numbers(verdict: str, values: Mapping[str, Any]) -> list[tuple[str, str, str
     Ratios are given where only they, or one of them, are determined; a model that doesn't say what is gets two digits.
 
     Args:
-        values: of a frame or a contact, by column; those in newtons have the columns of their units.
+        values: of a frame or a contact, by column, names in `determined` one by one, as results.json has them; those in
+            newtons have the columns of their units.
     """
-    found, single = [], (values.get("determined") or "").split(";") if verdict == "undetermined" else []
+    found, single = [], (values.get("determined") or ()) if verdict == "undetermined" else ()
     for name, own_unit in zip(REPORTED, ("f/u", "f·s/u", "f", "s", "u"), strict=True):
         ratio = name not in PARAMETERS
         value, low, high = (values.get(f"{name}{end}") for end in ENDS)

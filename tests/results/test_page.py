@@ -21,6 +21,7 @@ from palpate.common.output import is_own
 from palpate.data.prepared import OUT_OF_CONTACT
 from palpate.data.synthetic.clip import write_clip
 from palpate.results.outcome import DONE, Outcome, conclude
+from palpate.results.page.gather import contact_numbers
 from palpate.results.page.render import write_pages
 from palpate.results.record import PERSISTENT
 from palpate.results.store import OutputError
@@ -214,3 +215,11 @@ def test_a_clip_s_page_works_in_a_browser(results: Path, tmp_path: Path) -> None
     # stiffness by contact and by frame, verdict by frame, alarms, time
     told = [4, True, f"frame {frames[-1]['frame']}", tenth, "10", True]
     assert said == told
+
+
+def test_a_single_ratio_that_is_determined_stands_on_the_page() -> None:
+    """Of a contact as results.json has it, whose other quantities are not determined."""
+    ends = {"": 0.1, "_low": 0.088, "_high": 0.112}
+    run = {f"damping_over_stiffness{end}": value for end, value in ends.items()}
+    run |= {"newtons": None, "verdict": "undetermined", "detail": "", "determined": ["damping_over_stiffness"]}
+    assert contact_numbers(run, {}) == [("k_d/k_s", "0.100 ± 0.012", "s")]

@@ -36,7 +36,7 @@ def test_the_verdict_goes_before_the_status() -> None:
         ("undetermined", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),
         (
             "undetermined",
-            VALUES | {"determined": "damping_over_stiffness"},
+            VALUES | {"determined": ["damping_over_stiffness"]},
             ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12", "0.100 ± 0.012"],
         ),
         ("doubtful", VALUES, ["0.23 to 0.88", "0.0012 to 0.36", "0.091 to 0.12"]),

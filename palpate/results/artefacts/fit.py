@@ -113,7 +113,7 @@ def _described(run: InteractionEstimate) -> tuple[str, list[str]]:
         explained = f"Skill {pull.skill:.2f} in frames that were not fitted (1: exact). No k_s, k_d or |F|."
     elif press is not None and run.beside is None:
         sure, explained = "doubtful" if run.verdict == "determined" and run.detail else run.verdict, press.explanation
-        values = values_of(press.numbers) | {"determined": ";".join(press.determined)}
+        values = values_of(press.numbers) | {"determined": press.determined}
         heading += ", " + ", ".join(map(" ".join, numbers(sure, values)))
     return "\n".join(_lines(heading, 110)), _lines(f"{run.detail} {explained}".strip())
 

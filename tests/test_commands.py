@@ -26,7 +26,6 @@ ELSEWHERE = {
     "DATA=": "tests/test_train.py",
     "python -m benchmarks.recovery": "tests/benchmarks/test_benchmark.py",
     "python -m benchmarks.instruments": "tests/data/masks/test_cut.py",
-    "python -m benchmarks.palpation.example": "tests/test_calibrate.py",
     "palpate calibrate palpation": "tests/test_calibrate.py",
     "palpate outline": "tests/test_outline_page.py",
     "palpate plan configs/": "tests/planning/test_scene.py",

@@ -6,7 +6,11 @@ ratio, log(cos θ/r²) less its value at rest, tells how the point has tilted an
 tilts, and a wet one mirrors light where it faces the camera.
 """
 
+import math
+
 import numpy as np
+
+from palpate.physics.jit import kernel
 
 
 def log_brightness(depth: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -48,3 +52,45 @@ def matt(facing: np.ndarray, rough: float) -> np.ndarray:
         rough: ρ, 0 to 0.5.
     """
     return np.exp(facing) - rough * np.expm1(2 * facing)
+
+
+@kernel
+def exchanged(points, light):
+    """Light that places of a surface receive from its other places by their form factors, shape [N, S, S].
+
+    Args:
+        points: of the surface, shape [N, S, S, 3].
+        light: that leaves them, shape [N, S, S].
+    """
+    count, side = points.shape[0], points.shape[1]
+    found, size = np.zeros(light.shape), side * side
+    at, normal, sent = np.empty((3, size)), np.empty((3, size)), np.empty(size)
+    for frame in range(count):
+        place = points[frame]
+        for row in range(side):
+            for column in range(side):
+                top, down = max(row - 1, 0), min(row + 1, side - 1)
+                left, right = max(column - 1, 0), min(column + 1, side - 1)
+                a = (place[down, column] - place[top, column]) / (down - top)
+                b = (place[row, right] - place[row, left]) / (right - left)
+                index = row * side + column
+                at[:, index], sent[index] = place[row, column], light[frame, row, column]
+                normal[0, index] = a[2] * b[1] - a[1] * b[2]
+                normal[1, index] = a[0] * b[2] - a[2] * b[0]
+                normal[2, index] = a[1] * b[0] - a[0] * b[1]
+        if normal[2, size // 2] > 0:
+            normal *= -1  # towards the camera
+        received = np.zeros(size)
+        for here in range(size):
+            x, y, z = at[0, here], at[1, here], at[2, here]
+            for there in range(here):
+                dx, dy, dz = at[0, there] - x, at[1, there] - y, at[2, there] - z
+                ahead = normal[0, here] * dx + normal[1, here] * dy + normal[2, here] * dz
+                back = -(normal[0, there] * dx + normal[1, there] * dy + normal[2, there] * dz)
+                if ahead > 0 and back > 0:
+                    factor = ahead * back / (dx * dx + dy * dy + dz * dz) ** 2
+                    received[here] += sent[there] * factor
+                    received[there] += sent[here] * factor
+        area = np.sqrt(np.square(normal).sum(axis=0))
+        found[frame] = (received / (math.pi * area)).reshape(side, side)
+    return found

@@ -17,6 +17,7 @@ from palpate.data.synthetic.scene import Scene
 from palpate.data.synthetic.surface import SheetView, deformed_view, rest_view
 from palpate.data.synthetic.tool import EXPOSURE_DISTANCE, draw_tool, paint
 from palpate.data.synthetic.truth import TrueMotion
+from palpate.physics.shading import exchanged
 
 GREY = {name: entry.grey for name, entry in CLASSES.items()}
 """Grey code of every class."""
@@ -86,7 +87,36 @@ class Renderer:
             if passage is not None and self.scene.settings.tool_in_view:
                 light *= passage.lit(index, lamp, self.rays * view.depth[..., None])[..., None]
             total = total + light / len(self.lamps)
-        return np.asarray(total)
+        return self._exchanged(view, np.asarray(total))
+
+    def _exchanged(self, view: SheetView, light: np.ndarray) -> np.ndarray:
+        """Add the light [H, W, 3] that the walls of a dent send each other, reflected up to twice in every colour."""
+        settings = self.scene.settings
+        size = settings.grid_width, settings.grid_height
+        small, rest = (cv2.resize(each.depth, size, interpolation=cv2.INTER_AREA) for each in (view, self.rest))
+        row, column = divmod(int(np.argmax(np.abs(small - rest))), size[0])
+        if small[row, column] == rest[row, column]:
+            return light
+        side = 21  # as far as light between the walls of a dent reaches [grid cells]
+        starts = (min(max(at - side // 2, 0), end - side) for at, end in zip((row, column), size[::-1], strict=True))
+        window = tuple(slice(start, start + side) for start in starts)
+        rays = cv2.resize(self.rays, size, interpolation=cv2.INTER_AREA)[window]
+        points = np.ascontiguousarray(rays * small[window][..., None], np.float64)
+        inside = tuple(
+            slice(round(part.start * cell), round(part.stop * cell))
+            for part, cell in zip(window, settings.cell[::-1], strict=True)
+        )
+        maps = view.rest_u[inside], view.rest_v[inside]
+        albedo = cv2.remap(self.albedo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        cells = points.shape[1::-1]
+        reflects, sent = (cv2.resize(part, cells, interpolation=cv2.INTER_AREA) for part in (albedo, light[inside]))
+        received = np.zeros_like(sent)
+        for _ in range(2):
+            sends = np.ascontiguousarray(np.moveaxis(sent + reflects * received, -1, 0), np.float64)
+            received = np.moveaxis(exchanged(np.broadcast_to(points, (3, *points.shape)), sends), 0, -1)
+        found = light.copy()
+        found[inside] += albedo * cv2.resize(received, albedo.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        return found
 
     def _tissue_light(self, view: SheetView, region: tuple[slice, slice], lamp: np.ndarray) -> np.ndarray:
         """Linear light of the tissue over a region if a lamp at a place [3] gives all light, shape [h, w, 3]."""

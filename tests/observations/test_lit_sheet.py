@@ -5,9 +5,9 @@ import numpy as np
 from palpate.data.shading.light import FINE
 from palpate.data.shading.sequence import MARGIN, REACH
 from palpate.data.source.camera import Camera, back_project
-from palpate.observations.lit_sheet import PLACING, SIDE, LitSheet, Shown, exchanged
+from palpate.observations.lit_sheet import PLACING, SIDE, LitSheet, Shown
 from palpate.physics.mesh import grid_mesh
-from palpate.physics.shading import log_brightness
+from palpate.physics.shading import exchanged, log_brightness
 
 CAMERA = Camera(fx=185.0, fy=185.0, cx=106.5, cy=59.5, width=214, height=120)
 PLAIN = np.array([0.0, 0.0, 0.0, 0.0, np.log(0.53), np.log(0.1), np.log(0.13), 0.0])

@@ -70,14 +70,13 @@ LAGS, CHANCE = 8, 0.05
 MOVED = 4.0
 """Light that changes by more standard deviations says how well the press explains it."""
 
-USUALLY_LEFT, TOGETHER = 0.2, 600.0
-"""Share of the change of light that a press usually leaves, and how many residuals then count as one. The more it is,
-the more wrong is the law; coding errs as much where it is less."""
-LAW_ERROR, SCALE_ERROR = (0.22, 0.38), 0.25
+USUALLY_LEFT, MOST_TOGETHER = 0.2, 30.0
+"""Share of the change of light that a press usually leaves: the more it is, the more wrong is the law. And how many
+residuals count as one at most: coded pictures repeat their errors, which count as the law's, not as noise that would
+leave gloss and albedo to their priors."""
+LAW_ERROR, SCALE_ERROR = (0.25, 0.4), 0.25
 """Standard deviations of what law, mesh and coding get wrong: of log k_d/k_s and log F/k_s, and common to all three,
-which inertia alone tells. Twelve synthetic clips are 0.23 and 0.42 off, all intervals hold:
-`python -m data.synthetic --clips 12 --frames 32 --seed 47712`, their MP4 by `infer.py --estimator direct`, then
-`python -m benchmarks.compare_with_truth`. Of path-traced clips `python -m benchmarks.path_traced` says it."""
+which inertia alone tells. `python -m benchmarks.path_traced` measures it on clips of a path tracer."""
 
 
 class ShadingObservation(Observation):
@@ -192,10 +191,9 @@ class ShadingObservation(Observation):
     @property
     def law_covariance(self) -> np.ndarray:
         """Covariance of φ by what law, mesh and coding get wrong, by the last look, shape [3, 3]."""
-        # What the law gets wrong, and what coding leaves out, shows in the share left and in correlated residuals.
+        # What the law gets wrong, and what coding leaves out, shows in the share left.
         left = max((1 - self.skill) / USUALLY_LEFT, 1.0) ** 2
-        wrong = left * max(self.together / TOGETHER, 1.0)
-        return wrong * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
+        return left * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
 
     def compared(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted less observed, 0 where either isn't known, and the inverse variances [N, P]."""
@@ -227,7 +225,7 @@ class ShadingObservation(Observation):
         white = without_amplitude(white[..., None], (AMPLITUDE * law * root)[..., None])[..., 0]
         side = math.isqrt(int(self.sheet.inner.sum()))
         shape = (len(white), 3, side, side)
-        self.together = _together(white.reshape(shape), known.reshape(shape))
+        self.together = min(_together(white.reshape(shape), known.reshape(shape)), MOST_TOGETHER)
         change = np.where(known, self.observed - self._rest, 0.0)
         moving = (np.abs(law) > MOVED * self.noise) | (np.abs(np.nan_to_num(change)) > MOVED * self.noise)
         left, whole = (np.square(np.clip(np.nan_to_num(part[moving]), -1, 1)).sum() for part in (residual, change))

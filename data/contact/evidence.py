@@ -46,6 +46,8 @@ RING = 100.0
 """Points nearer than this beyond the guard band are next to the tool, others are the background [px]."""
 TIP = 96.0
 """Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
+CAMERA_STILL = 0.5
+"""A camera that moves less from picture to picture stands still [px]."""
 TOOL_POINTS, BACKGROUND_POINTS = 150, 300
 """Points that are followed in a tip, and in the background, at most."""
 
@@ -212,6 +214,8 @@ def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
         return []
     known &= values_at(after.away, np.rint(places + step)) > GUARD / 2
     moved = step - background.at(places)
+    if np.linalg.norm(np.median(background.at(places), axis=0)) < CAMERA_STILL:
+        moved[_stays(before.colour, after.colour, places, moved)] = 0.0
     motions = []
     for index, tip in enumerate(tips):
         places = tip[:: max(1, len(tip) // TOOL_POINTS)]
@@ -222,6 +226,31 @@ def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
             around, errors = known & (owner == index), (background.noise, background.error)
             motions.append(TipMotion(moved[around], distance[around], SPACING, *motion, *errors))
     return motions
+
+
+def _stays(before: np.ndarray, after: np.ndarray, places: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Return whether colours show that tissue which seems to move has stayed where it was, bool [N].
+
+    Edges of an instrument's shadow go along with it and are followed, but a shadow leaves the colour of tissue. Where
+    tissue moves, colours around it change by as much as their slopes along its way say.
+
+    Args:
+        before, after: colours, as in `Shown.colour`, of a camera that stands still.
+        places: columns and rows, shape [N, 2].
+        moved: displacements that were followed there, shape [N, 2] [px].
+    """
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return values_at(cv2.blur(values, (21, 21)), places)
+
+    right, down = cv2.Sobel(before, -1, 1, 0, scale=0.125), cv2.Sobel(before, -1, 0, 1, scale=0.125)
+    x, y = moved.T
+    slopes = x**2 * mean(right**2) + 2 * x * y * mean(right * down) + y**2 * mean(down**2)
+    expected = np.minimum(slopes, 2 * (mean(before**2) - mean(before) ** 2))
+    difference = after - before
+    change = mean(difference**2) - mean(difference) ** 2
+    noise = float(np.median(cv2.blur(difference**2, (21, 21))[::4, ::4]))
+    return (change < 0.4 * expected) & (expected > 2.5 * noise)
 
 
 def _nearest(places: np.ndarray, tips: list[np.ndarray], view: Shown) -> np.ndarray:

@@ -1,12 +1,14 @@
-"""A frame and how its light differs from that at rest: where instruments are, and where tissue has darkened."""
+"""A frame and how the colour of its tissue differs from that at rest: where instruments are, where a dent is."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 
+from palpate.common.robust import median_sd
 from palpate.data.contact.tips import tool_tips
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
@@ -16,47 +18,33 @@ from palpate.data.tracks.following import lit_field
 
 TIP, LEAST_TIP = 6.0, 6
 """How much of an instrument's free end may press [grid pixels], and the smallest mask of one [grid pixels²]."""
-REACH = 6.0
-"""A press darkens tissue this near to it [grid pixels]."""
-STILL = 1.5
-"""An instrument stands that moves less from frame to frame [grid pixels]."""
-ARRIVED = 4.0
-"""What an instrument may have hidden lies so near to its free end [grid pixels]."""
+REDDER = 0.03
+"""A dent is redder than at rest by at least this [logarithm]."""
+DENT, AROUND, FAR = 6.0, 20.0, 50.0
+"""Radius of a dent at most; motion so near to it is that of its instrument; its instrument's free end lies this near,
+since masks may end before instruments do [grid pixels]."""
 
 
 @dataclass(eq=False)
 class LitFrame:
-    """A frame and how its light differs from that at rest."""
+    """A frame and how the colour of its tissue differs from that at rest, in the view of the reference."""
 
     prepared: PreparedFrame
     make_light: Callable[[], np.ndarray]
-    """Return the light as in `log_light`, in the view of the reference, as all that follows."""
+    """Return the light as in `log_light`."""
+    make_grey: Callable[[], np.ndarray]
+    """Return the logarithm of the picture's grey levels on the lattice, instruments and all."""
     view: View
     """How the frame's grid lies in the reference's."""
-    away: np.ndarray
-    """Distance of every place of the lattice from instruments [grid pixels]."""
     near: np.ndarray
-    """Distance of every place from instruments' free ends [grid pixels]."""
-    standing: np.ndarray
-    """Distance of every place from the free ends of instruments that are where one was in the frame before."""
-    tips: list[np.ndarray]
-    """Middle of every instrument's free end, row and column [grid pixels]."""
-    moves: bool
-    """Whether one of them has moved since."""
+    """Distance of every place of the lattice from instruments' free ends [grid pixels]."""
     change: np.ndarray | None = None
-    """Logarithm of light over that at rest, averaged around every place; None where it isn't known, or where so much
-    changes that a dent would not show."""
+    """Logarithm of red over the other colours less that at rest, averaged around every place; None where it isn't
+    known, or where so much changes that a dent would not show."""
     noise: float = math.inf
-    """Its standard deviation where nothing changes."""
-    dark: tuple[int, int] | None = None
-    """Row and column of the darkest place of the lattice next to an instrument that stands; None where nothing is
-    clearly darker than at rest."""
-    dent: tuple[int, int] | None = None
-    """Row and column of the darkest place that is darker than a shadow."""
-    bared: tuple[int, int] | None = None
-    """Row and column of the darkest place where an instrument was in a frame that waits, and isn't now."""
-    darkness: float = 0.0
-    """How much darker than at rest the darkest place next to an instrument is."""
+    """Standard deviation of the change where nothing presses."""
+    dent: np.ndarray | None = None
+    """Row and column of the middle of what has reddened most [grid pixels]; None where nothing clearly has."""
 
     @classmethod
     def of(
@@ -65,112 +53,84 @@ class LitFrame:
         make_light: Callable[[], np.ndarray],
         view: View,
         registered: Callable[[], tuple[np.ndarray, np.ndarray]],
-        before: Sequence[np.ndarray],
     ) -> "LitFrame":
-        """A frame and where its instruments are; nothing is compared yet.
+        """Return a frame and where its instruments are; nothing is compared yet.
 
         Args:
             registered: returns picture and labels in the view of the reference.
-            before: the tips in the frame before.
         """
-        size = prepared.labels.shape[::-1]
-        tool, ends, standing = np.zeros((3, *prepared.labels.shape), bool)
-        tips, moves, found = [], False, []
+        rows, columns = prepared.labels.shape
+        size, ends = (FINE * columns, FINE * rows), np.zeros((rows, columns), np.uint8)
         if prepared.shown.tool.any():
             picture, labels = registered()
-            tool = cv2.resize((labels == TOOL).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT) > 0
-            found = tool_tips(tool, cv2.resize(lit_field(picture).astype(np.uint8), size) > 0, TIP, LEAST_TIP)
-        for tip in found:
-            middle = tip.mean(axis=0)[::-1]
-            stands = any(np.linalg.norm(middle - other) < STILL for other in before)
-            ends[tip[:, 1], tip[:, 0]] = True
-            standing[tip[:, 1], tip[:, 0]] = stands
-            tips.append(middle)
-            moves |= not stands
-        away, near, still = (distance_from(mask, (FINE * size[1], FINE * size[0])) for mask in (tool, ends, standing))
-        return cls(prepared, make_light, view, away, near, still, tips, moves)
+            tool, lit = (part.astype(np.uint8) for part in (labels == TOOL, lit_field(picture)))
+            tool = cv2.resize(tool, (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT) > 0
+            for tip in tool_tips(tool, cv2.resize(lit, (columns, rows)) > 0, TIP, LEAST_TIP):
+                ends[tip[:, 1], tip[:, 0]] = 1
+        near = np.full(size[::-1], np.inf)
+        if ends.any():
+            near = cv2.resize(cv2.distanceTransform(1 - ends, cv2.DIST_L2, 3), size)
+        return cls(prepared, make_light, cache(lambda: log_grey(registered()[0], size)), view, near)
 
-    def change_around(self, place: tuple[int, int]) -> np.ndarray | None:
-        """The change of the light around a dent's place [grid pixels], [h, w]; None where it isn't known."""
+    def look(self, within: np.ndarray, least: float) -> None:
+        """Look for a dent: what has reddened most and is no texture that has moved, which pales beside it.
+
+        Args:
+            within: places of the lattice where one may be, apart from the picture's edge.
+            least: change of a dent.
+        """
+        assert self.change is not None
+        edge, found = round(FINE * DENT), np.zeros_like(self.change)
+        inner = slice(edge, -edge), slice(edge, -edge)
+        found[inner] = np.where(within & np.isfinite(self.change), self.change, 0.0)[inner]
+        row, column = divmod(int(np.argmax(found)), found.shape[1])
+        strength, window = found[row, column], _around((row, column), DENT)
+        around = self.change[window]
+        if strength < least or -np.nanmin(around) >= 0.5 * strength:
+            return
+        weights = np.where(around > 0.5 * strength, around, 0.0).ravel()
+        places = np.indices(around.shape).reshape(2, -1) + [[part.start] for part in window]
+        self.dent = (places @ weights / weights.sum() + 0.5) / FINE - 0.5
+
+    def change_at(self, place: np.ndarray) -> float:
+        """Return the largest change within a grid pixel of a place; NaN where none shows."""
         if self.change is None:
-            return None
-        (top, left), reach = (FINE * part for part in place), round(FINE * REACH / 2)
-        return self.change[max(top - reach, 0) : top + reach + 1, max(left - reach, 0) : left + reach + 1]
+            return math.nan
+        around = self.change[_around(_lattice(place), 1.0)]
+        return float(np.nanmax(around)) if np.isfinite(around).any() else math.nan
 
-    def shows(self, place: tuple[int, int], clear: float) -> bool:
-        """Whether a place [grid pixels] is darker than at rest by so many standard deviations."""
-        return self.change is not None and bool(self.change[FINE * place[0], FINE * place[1]] < -clear * self.noise)
+    def distance(self, place: np.ndarray) -> float:
+        """Return the distance of an instrument's free end from a place [grid pixels]."""
+        return float(self.near[tuple(_lattice(place))])
 
-    def is_at(self, place: tuple[int, int]) -> bool:
-        """Whether an instrument is at a place [grid pixels]."""
-        return bool(self.near[FINE * place[0], FINE * place[1]] <= REACH)
+    def moved(self, before: "LitFrame", place: np.ndarray) -> int:
+        """Return how many places of the lattice around a dent show something else than in the frame before.
 
-    def stands_since(self, first: "LitFrame") -> bool:
-        """Whether the instrument next to the dent is where one was some frames before."""
-        if self.dent is None or not self.tips or not first.tips:
-            return False
-        tip = min(self.tips, key=lambda each: float(np.linalg.norm(each - np.array(self.dent) / FINE)))
-        return bool(np.linalg.norm(np.array(first.tips) - tip, axis=1).min() < STILL)
-
-    def goes_along(self) -> bool:
-        """Whether an instrument moves that is still near to what it has bared, so that it may go with the dent."""
-        return self.moves and self.bared is not None and bool(self.away[self.bared] <= 2 * REACH)
-
-    def is_half_hidden(self) -> bool:
-        """Whether a frame's dent is darkest right next to what doesn't show."""
-        if self.change is None or self.dent is None:
-            return False
-        row, column = self.dent
-        around = self.change[max(row - FINE, 0) : row + FINE + 1, max(column - FINE, 0) : column + FINE + 1]
-        return bool(np.isnan(around).any())
+        That is an instrument that comes or goes, however badly its mask outlines it.
+        """
+        middle = _lattice(place)
+        window, now, then = _around(middle, AROUND), self.make_grey(), before.make_grey()
+        noise = median_sd((now - then)[::4, ::4].ravel())
+        changes = np.abs(now[window] - then[window]) > max(0.1, 6 * noise)
+        rows, columns = np.ogrid[tuple(map(slice, changes.shape))]
+        away = np.hypot(rows + window[0].start - middle[0], columns + window[1].start - middle[1]) / FINE
+        # The dent itself grows.
+        return int(changes[(away > DENT - 2) & (away < AROUND)].sum())
 
 
-def distance_from(tool: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Distance from an instrument's mask [h, w] on a lattice over its grid, in the shape asked for [grid pixels].
-
-    Infinite where there is none.
-    """
-    if not tool.any():
-        return np.full(shape, np.inf)
-    return cv2.resize(cv2.distanceTransform((~tool).astype(np.uint8), cv2.DIST_L2, 3), shape[::-1])
+def _lattice(place: np.ndarray) -> np.ndarray:
+    """Return row and column on the lattice of a place [grid pixels]."""
+    return np.rint(FINE * (np.asarray(place) + 0.5) - 0.5).astype(int)
 
 
-def darkness_of(change: np.ndarray | None) -> float:
-    """How much darker than at rest the darkest place of a change of the light is; NaN where none is known."""
-    return math.nan if change is None or not np.isfinite(change).any() else -float(np.nanmin(change))
+def _around(place: Sequence[int] | np.ndarray, reach: float) -> tuple[slice, slice]:
+    """Return rows and columns of the lattice up to so many grid pixels from a place on it."""
+    size = round(FINE * reach)
+    row, column = (int(part) for part in place)
+    return slice(max(row - size, 0), row + size + 1), slice(max(column - size, 0), column + size + 1)
 
 
-def lie_together(places: Sequence[tuple[int, int] | None]) -> bool:
-    """Whether places of the lattice are those of one dent."""
-    known = np.array([place for place in places if place is not None])
-    return bool(np.linalg.norm(known - known[-1], axis=1).max() <= FINE * REACH)
-
-
-def darkest(change: np.ndarray, where: np.ndarray) -> tuple[tuple[int, int], float, bool]:
-    """Row and column of the darkest of some places of the lattice, how much darker than at rest it is, and whether they
-    darken rather than brighten.
-    """
-    found = np.where(where & np.isfinite(change), change, 0.0)
-    row, column = divmod(int(np.argmin(found)), found.shape[1])
-    darkness = -float(found[row, column])
-    # A press brightens no tissue by more than this share of what it darkens other tissue by; tissue that is pulled
-    # along shows its texture elsewhere, and does both.
-    return (row, column), darkness, float(found.max()) < 0.5 * darkness
-
-
-def centre(dents: Sequence[tuple[np.ndarray | None, tuple[int, int] | None]]) -> tuple[int, int]:
-    """Row and column [grid pixels] of a dent's middle: the weighted mean of what has darkened in some frames.
-
-    Args:
-        dents: the change of every frame's light, and its darkest place.
-    """
-    total = np.sum([np.clip(np.nan_to_num(change), -1, 0) for change, _ in dents if change is not None], axis=0)
-    row, column = dents[-1][1] or (0, 0)
-    reach = round(FINE * 4)
-    top, left = max(row - reach, 0), max(column - reach, 0)
-    weights = -total[top : row + reach + 1, left : column + reach + 1]
-    weights = np.where(weights > 0.3 * weights.max(), weights, 0.0)
-    places = np.indices(weights.shape).reshape(2, -1) + np.array([[top], [left]])
-    middle = places @ weights.ravel() / max(weights.sum(), 1e-9)
-    row, column = np.rint((middle + 0.5) / FINE - 0.5).astype(int).tolist()
-    return row, column
+def log_grey(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the logarithm of a picture's grey levels on a lattice of so many columns and rows, float32."""
+    grey = cv2.resize(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
+    return np.log(grey.astype(np.float32) + 8)

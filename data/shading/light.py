@@ -57,3 +57,8 @@ def log_light(picture: np.ndarray, labels: np.ndarray, grid_shape: tuple[int, in
 def brightness(light: np.ndarray) -> np.ndarray:
     """Logarithm of the mean of red and green, from those of the colours [3, h, w], shape [h, w]."""
     return np.log(np.exp(light[:2]).mean(axis=0))
+
+
+def redness(light: np.ndarray) -> np.ndarray:
+    """Logarithm of red over the mean of green and blue, from those of the colours [3, h, w], shape [h, w]."""
+    return light[0] - (light[1] + light[2]) / 2

@@ -32,6 +32,8 @@ FAR = 40
 """A dent may lie so far from where its contact was detected [grid pixels]."""
 DARKER = 0.04
 """A press darkens tissue by more [logarithm of light]."""
+LEAST_SD = 0.002
+"""Least noise of the logarithm of light, half a level of 8 bits: coded video repeats what hardly changes."""
 SPARSE = 3
 """Every so many places along an axis tell the gain."""
 
@@ -75,9 +77,9 @@ def slow_change(places: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, flo
             return None
         gain = np.linalg.lstsq(terms[known], change[known], rcond=None)[0]
         left = change - terms @ gain
-        sd = median_sd(left[known])
+        sd = max(median_sd(left[known]), LEAST_SD)
         # Places that differ by more are no still tissue.
-        known = known & (np.abs(left) <= 3.0 * sd + 1e-12)
+        known = known & (np.abs(left) <= 3.0 * sd)
     return gain, sd
 
 
@@ -98,14 +100,16 @@ def change_of_light(light: np.ndarray, rest: np.ndarray) -> np.ndarray | None:
     return change - (gain[0] + gain[1] * rows)[:, None] - gain[2] * columns
 
 
-def smoothed(change: np.ndarray) -> np.ndarray:
-    """Mean change of the light around every place of the lattice, shape [h, w]; not a number where little tissue shows.
+def smoothed(change: np.ndarray, darker: np.ndarray | None = None) -> np.ndarray:
+    """Return the mean change around every place of the lattice, shape [h, w]; NaN where little tissue shows.
 
     Args:
-        change: logarithm of light over that at rest, shape [h, w].
+        change: of the light's logarithm, or of its colour's, since rest, shape [h, w].
+        darker: of the light's logarithm, if that is another, shape [h, w].
     """
     # What is darker than at rest by more, as a logarithm, is a part of the instrument that its mask leaves out.
-    instrument = cv2.dilate((change < -1.2).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    dark = (change if darker is None else darker) < -1.2
+    instrument = cv2.dilate(dark.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     known = np.isfinite(change) & ~instrument
     # Standard deviation of the weights with which changes are averaged [grid pixels].
     weights, sums = (

@@ -74,6 +74,12 @@ class Shown:
         return cv2.cvtColor(self.picture, cv2.COLOR_RGB2GRAY)
 
     @cached_property
+    def colour(self) -> np.ndarray:
+        """Logarithm of red over green, float32 [H, W]: it tells tissue from tissue, and light hardly changes it."""
+        red, green, _ = cv2.split(self.picture.astype(np.float32) + 8)
+        return cv2.GaussianBlur(np.log(red / green), (0, 0), 2.0)
+
+    @cached_property
     def lit(self) -> np.ndarray:
         """Mask of the lit part, as in `lit_field`, bool [H, W]."""
         return lit_field(self.picture)

@@ -15,7 +15,7 @@ import numpy as np
 
 from palpate.common.robust import median_sd
 from palpate.data.prepared import PreparedFrame
-from palpate.data.shading.light import FINE, brightness
+from palpate.data.shading.light import FINE
 from palpate.data.shading.registration import View
 
 REACH = 7
@@ -28,10 +28,6 @@ PLACES = (np.arange(SIDE) + 0.5) / FINE - 0.5 - REACH - MARGIN
 """Their rows, or columns, from the contact, shape [SIDE] [grid pixels]."""
 KEPT = 8
 """Frames before a contact whose median is the light at rest."""
-FAR = 40
-"""A dent may lie so far from where its contact was detected [grid pixels]."""
-DARKER = 0.04
-"""A press darkens tissue by more [logarithm of light]."""
 LEAST_SD = 0.002
 """Least noise of the logarithm of light, half a level of 8 bits: coded video repeats what hardly changes."""
 SPARSE = 3
@@ -51,8 +47,6 @@ class ShadingSequence:
     """Light at rest, shape [3, L, L]."""
     noise: np.ndarray
     """Standard deviation of the difference of light and rest where tissue is still, by colour, shape [3]."""
-    aside: tuple[int, int] = (0, 0)
-    """Rows and columns from the detected contact to the square's middle, not 0 where the dent lies elsewhere."""
 
     def chosen(self, frames: np.ndarray) -> ShadingSequence:
         """Some of its frames: a mask [N] or indices."""
@@ -160,24 +154,17 @@ def _median(frames: np.ndarray) -> np.ndarray:
 class ShadingRecorder:
     """Gathers the shading sequence of one run of contact.
 
-    A mask that ends before its instrument does puts the contact in a wrong place. Then the dent shows elsewhere once
-    the instrument has let go, and the sequence is that of the light around the dent.
-
     Args:
         rest: light at rest, as in `log_light`.
         pixel: row and column of the contact in the onset's frame [grid pixels].
         view: in which the onset's light lies; None = the frame's own, of a camera that stands still.
-        pixels: rows and columns that a dent may have, shape [V, 2]; None = the contact's alone.
     """
 
-    def __init__(
-        self, rest: np.ndarray, pixel: np.ndarray, view: View | None = None, pixels: np.ndarray | None = None
-    ) -> None:
-        self._offsets = np.zeros((1, 2), np.int64) if pixels is None else np.asarray(pixels, np.int64) - pixel
+    def __init__(self, rest: np.ndarray, pixel: np.ndarray, view: View | None = None) -> None:
         pixel = pixel if view is None else np.rint(view.moved(pixel)).astype(np.int64)
         self._reference = None if view is None else view.reference
-        first, wide = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN), SIDE + 2 * FINE * FAR
-        self._window = tuple(np.ix_(*(begin - FINE * FAR + np.arange(wide) for begin in first)))
+        first = FINE * (np.asarray(pixel, np.int64) - REACH - MARGIN)
+        self._window = tuple(np.ix_(*(begin + np.arange(SIDE) for begin in first)))
         height, width = rest.shape[1:]
         self._inside = (self._window[0] >= 0) & (self._window[0] < height)
         self._inside = self._inside & (self._window[1] >= 0) & (self._window[1] < width)
@@ -194,10 +181,8 @@ class ShadingRecorder:
         rows, columns = (np.clip(part, 0, size - 1) for part, size in zip(self._window, light.shape[1:], strict=True))
         return np.where(self._inside, light[:, rows, columns], np.nan)
 
-    def frame(self, frame: PreparedFrame) -> tuple[np.ndarray, bool] | None:
-        """Light where a dent may be in a frame, and whether it is out of contact; None where light or gain isn't known,
-        or of another reference.
-        """
+    def frame(self, frame: PreparedFrame) -> np.ndarray | None:
+        """Return a frame's light around the contact; None where light or gain isn't known, or of another reference."""
         light, view = frame.light, frame.light_view
         if light is None or (None if view is None else view.reference) != self._reference:
             return None
@@ -206,38 +191,10 @@ class ShadingRecorder:
             return None
         gains, sds = zip(*found, strict=True)
         self._noise.append(sds)
-        found = (self._cut(light) - np.tensordot(gains, self._middle, 1)).astype(np.float32)
-        return found, frame.out_of_contact
+        return (self._cut(light) - np.tensordot(gains, self._middle, 1)).astype(np.float32)
 
-    def record(self, times: np.ndarray, light: list[tuple[np.ndarray, bool]], _: int = 0) -> ShadingSequence:
-        """The sequence of some frames, times since the onset [s]."""
-        rest = brightness(self._rest)
-        aside = self._dent([brightness(one) - rest for one, free in light if free])
-        square = ..., *(slice(begin, begin + SIDE) for begin in FINE * (FAR + aside))
-        stacked = np.stack([one[square] for one, _ in light]) if light else np.empty((0, 3, SIDE, SIDE), np.float32)
+    def record(self, times: np.ndarray, light: list[np.ndarray], _: int = 0) -> ShadingSequence:
+        """Return the sequence of some frames, times since the onset [s]."""
+        stacked = np.stack(light) if light else np.empty((0, 3, SIDE, SIDE), np.float32)
         noise = np.median(self._noise, axis=0) if self._noise else np.full(3, np.nan)
-        return ShadingSequence(np.asarray(times, np.float64), stacked, self._rest[square], noise, tuple(aside.tolist()))
-
-    def _dent(self, changes: list[np.ndarray]) -> np.ndarray:
-        """Rows and columns from the contact to the dent that it left, by the light's changes in frames out of contact.
-
-        0 where that is not clear, or where the dent may lie at the contact.
-        """
-        here = np.zeros(2, np.int64)
-        if len(changes) < 3:
-            return here
-        shown = np.isfinite(changes).mean(axis=0) > 0.5
-        change = smoothed(np.where(shown, _median(np.stack(changes)), np.nan))
-        known = np.isfinite(change)
-        darkness, near = np.where(known, -change, 0.0), FINE * REACH
-        if not darkness.max() > 2 * DARKER:
-            return here
-        place = np.array(np.unravel_index(np.argmax(darkness), darkness.shape))
-        inner = slice(FINE * (FAR + MARGIN), -FINE * (FAR + MARGIN))
-        around = change[max(place[0] - near, 0) : place[0] + near, max(place[1] - near, 0) : place[1] + near]
-        # As of a press, it brightens no tissue by more than half as much, and is clear of the noise.
-        least = max(2 * darkness[inner, inner].max(), 2 * np.nanmax(around), 8 * median_sd(change[known]))
-        if darkness.max() <= least:
-            return here
-        middle = place / FINE - FAR - REACH - MARGIN
-        return self._offsets[np.argmin(np.square(self._offsets - middle).sum(axis=1))]
+        return ShadingSequence(np.asarray(times, np.float64), stacked, self._rest, noise)

@@ -151,8 +151,6 @@ class InteractionEstimate:
     """Reason why there is no estimate, or why it can't be trusted."""
     instrument: int | None = None
     """Number of the instrument that touches."""
-    aside: tuple[float, float] = (0.0, 0.0)
-    """Way from the detected contact to its dent, which is what was estimated (u, v) [px of the source frame]."""
 
     @property
     def beside(self) -> PullResult | FieldResult | None:

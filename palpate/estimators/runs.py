@@ -121,28 +121,21 @@ class RunSession:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
         if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
-        mechanics, aside = self.mechanics, self._aside(contact)
+        mechanics = self.mechanics
         try:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
                     contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
-                beside = f"The dent lies {math.hypot(*aside):.0f} px beside the detected contact, and is estimated."
-                doubts = f"{beside if any(aside) else ''} {found.refuted}".strip()
+                doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
         except NoEstimate as reason:
             return run.estimate(interaction=contact, detail=f"{run.detail} {reason}".strip())
         detail = f"{run.detail} {doubts}".strip()
-        results = {"interaction": contact, "estimate": found, "mechanics": mechanics, "simulated": simulated}
-        results["aside"] = aside if mechanics is self.lit_mechanics else (0.0, 0.0)
-        return run.estimate(**results, detail=detail)
-
-    def _aside(self, contact: Interaction) -> tuple[float, float]:
-        """Return the way from the detected contact to its dent (u, v) [px of the source frame]."""
-        rows, columns = (0, 0) if contact.shading is None else contact.shading.aside
-        (height, width), size = contact.mesh.grid_shape, self.clip.size
-        return columns / width * size[0], rows / height * size[1]
+        return run.estimate(
+            interaction=contact, estimate=found, mechanics=mechanics, simulated=simulated, detail=detail
+        )
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """Return the record of a run with the estimate of its grip; failures are reported if that is the `only`

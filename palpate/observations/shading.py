@@ -33,6 +33,9 @@ AMPLITUDE = 0.25
 """Standard deviation of every place's amplitude, common to all frames: its gloss and albedo are its own."""
 LEAST_NOISE = 0.004
 """Least noise of the logarithm of light: a level of 8 bits in brightly lit tissue."""
+USUALLY_LEFT, USUAL_LAG = 0.2, 0.5
+"""Share of the change of light that a press usually leaves, and usual lag of coded pictures [levels of 8 bits]. The
+more either is, the more wrong is the law."""
 NUISANCE = (
     # Where the dent's middle lies, by rows and columns [grid pixels].
     *2 * [Parameter(0, 2.0, 5.0)],
@@ -56,7 +59,7 @@ NUISANCE = (
     # Albedo of red and green.
     Parameter(0.3, 0.35, 0.5, 0.0),
     # How far coded pictures lag behind the light [levels of 8 bits].
-    Parameter(0.5, 0.7, 4.0, 0.0),
+    Parameter(USUAL_LAG, 0.7, 4.0, 0.0),
 )
 PRIOR_MEAN, PRIOR_SD = (np.array([getattr(each, name) for each in NUISANCE]) for name in ("mean", "sd"))
 LAW = 5
@@ -70,10 +73,9 @@ LAGS, CHANCE = 8, 0.05
 MOVED = 4.0
 """Light that changes by more standard deviations says how well the press explains it."""
 
-USUALLY_LEFT, MOST_TOGETHER = 0.2, 30.0
-"""Share of the change of light that a press usually leaves: the more it is, the more wrong is the law. And how many
-residuals count as one at most: coded pictures repeat their errors, which count as the law's, not as noise that would
-leave gloss and albedo to their priors."""
+MOST_TOGETHER = 30.0
+"""Residuals that count as one, at most. Coded pictures repeat their errors, which count as the law's: as noise they
+would leave gloss and albedo to their priors."""
 LAW_ERROR, SCALE_ERROR = (0.25, 0.4), 0.25
 """Standard deviations of what law, mesh and coding get wrong: of log k_d/k_s and log F/k_s, and common to all three,
 which inertia alone tells. `python -m benchmarks.path_traced` measures it on clips of a path tracer."""
@@ -93,9 +95,7 @@ class ShadingObservation(Observation):
         self._own_mesh, self._errors = tilt is None, CommonErrors(np.zeros((0, 0)))
         self.quick = not self._own_mesh
         self.sequence: ShadingSequence = contact.observations["shading"]
-        pixel = contact.mesh.pixels[contact.vertex] + self.sequence.aside
-        vertex = int(np.flatnonzero((contact.mesh.pixels == pixel).all(axis=1))[0])
-        self.sheet = LitSheet(contact.mesh, vertex, self.sequence.rest, tilt)
+        self.sheet = LitSheet(contact.mesh, contact.vertex, self.sequence.rest, tilt)
         means = [*PRIOR_MEAN[:2], *(self.sheet.tilt if tilt is None else PRIOR_MEAN[2:4]), *PRIOR_MEAN[4:]]
         self.nuisance = [each._replace(mean=mean) for each, mean in zip(NUISANCE, means, strict=True)]
         self.vertices, self.times = self.sheet.vertices, self.sequence.times
@@ -116,13 +116,14 @@ class ShadingObservation(Observation):
         self._weight, self._law = np.ones_like(self.observed), np.zeros_like(self.observed)
         self.noise = np.repeat(np.maximum(self.sequence.noise, LEAST_NOISE), self.sheet.inner.sum())
         """Standard deviation of a residual where the law predicts no change, shape [3·P]."""
+        self._lag = 0.0
         self.together = 1.0
         """How many residuals count as one."""
 
     @classmethod
     def recorder(cls, onset: PreparedFrame, size: tuple[int, int], rest: RestingLight | None) -> ShadingRecorder | None:
         pixels, vertex = onset.contact.mesh.pixels, onset.contact.vertex
-        return None if rest is None else ShadingRecorder(rest.median(), pixels[vertex], onset.light_view, pixels)
+        return None if rest is None else ShadingRecorder(rest.median(), pixels[vertex], onset.light_view)
 
     def darkest(self) -> np.ndarray:
         """Row and column of the middle of what has darkened, from the contact's vertex, shape [2] [grid pixels]."""
@@ -191,9 +192,8 @@ class ShadingObservation(Observation):
     @property
     def law_covariance(self) -> np.ndarray:
         """Covariance of φ by what law, mesh and coding get wrong, by the last look, shape [3, 3]."""
-        # What the law gets wrong, and what coding leaves out, shows in the share left.
-        left = max((1 - self.skill) / USUALLY_LEFT, 1.0) ** 2
-        return left * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
+        wrong = max((1 - self.skill) / USUALLY_LEFT, 1.0) * max(self._lag / USUAL_LAG, 1.0)
+        return wrong**2 * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
 
     def compared(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted less observed, 0 where either isn't known, and the inverse variances [N, P]."""
@@ -221,6 +221,7 @@ class ShadingObservation(Observation):
         # What doesn't show now counts for nothing until the next look, so that the sum of squares has no steps.
         self._weight = np.where(known, student / inflated, 0.0)
         white = np.where(known, np.sign(residual) * np.sqrt(student * squares), 0.0)
+        self._lag = float(logs[-1])
         self._law, root = law, np.where(known, np.sqrt(self._weight) / self.noise, 0.0)
         white = without_amplitude(white[..., None], (AMPLITUDE * law * root)[..., None])[..., 0]
         side = math.isqrt(int(self.sheet.inner.sum()))

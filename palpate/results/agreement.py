@@ -24,10 +24,7 @@ def agreed(frame: FrameEstimate, run: InteractionEstimate, force: Sequence[float
     if main is not None and main is run.grip:
         return replace(frame, verdict=verdict, determined=known, pull=RelativeForce(*force))
     if found is None and main is not None and main is run.estimate and run.estimate.light is not None:
-        touch, (u, v) = frame.touch, run.aside
-        if touch.contact_u is not None and touch.contact_v is not None:
-            touch = replace(touch, contact_u=touch.contact_u + u, contact_v=touch.contact_v + v)
-        return replace(frame, estimate=run.estimate, verdict=verdict, determined=known, touch=touch)
+        return replace(frame, estimate=run.estimate, verdict=verdict, determined=known)
     if frame.verdict in ("", "undetermined", "onset_in_view"):
         return frame
     names = () if found is None or main is None else (name for name in found.determined if name in main.determined)

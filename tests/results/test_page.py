@@ -218,7 +218,7 @@ def test_a_clip_s_page_works_in_a_browser(results: Path, tmp_path: Path) -> None
 
 
 def test_a_single_ratio_that_is_determined_stands_on_the_page() -> None:
-    """Of a contact as results.json has it, whose other quantities are not determined."""
+    """Other quantities of the contact, as results.json has it, are not determined."""
     ends = {"": 0.1, "_low": 0.088, "_high": 0.112}
     run = {f"damping_over_stiffness{end}": value for end, value in ends.items()}
     run |= {"newtons": None, "verdict": "undetermined", "detail": "", "determined": ["damping_over_stiffness"]}

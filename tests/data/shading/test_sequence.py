@@ -16,9 +16,9 @@ TEXTURE = np.random.default_rng(1).normal(-1, 0.3, (3, *SHAPE))
 """Three colours at rest."""
 
 
-def seen(light: np.ndarray, out_of_contact: bool = False) -> SimpleNamespace:
+def seen(light: np.ndarray) -> SimpleNamespace:
     """A frame of a camera that stands still."""
-    return SimpleNamespace(light=light, light_view=None, out_of_contact=out_of_contact)
+    return SimpleNamespace(light=light, light_view=None)
 
 
 def recorder(row: int = 30, column: int = 40) -> ShadingRecorder:
@@ -86,29 +86,6 @@ def test_some_frames_of_a_sequence():
     found = made.record(np.array([0.1, 0.2, 0.3]), frames).chosen(np.array([0, 2]))
     np.testing.assert_array_equal(found.times, [0.1, 0.3])
     assert found.light.shape == (2, 3, SIDE, SIDE)
-
-
-@pytest.mark.parametrize(("released", "expected"), [(True, (12, -20)), (False, (0, 0))])
-def test_light_is_that_around_the_dent_which_shows_after_the_release(released, expected):
-    """A mask that ends too early puts the contact 20 columns beside the dent; under the tool nothing is clear."""
-    pixels = np.moveaxis(np.indices((60, 80)), 0, -1).reshape(-1, 2)
-    made = ShadingRecorder(TEXTURE, np.array([30, 60]), None, pixels)
-    rows, columns = np.indices(SHAPE) / FINE
-    dent = -0.3 * np.exp(-0.5 * (np.square(rows - 42) + np.square(columns - 40)) / 2**2)
-    frames = [made.frame(seen(TEXTURE + dent, released)) for _ in range(4)]
-    found = made.record(np.arange(1, 5) / 25, frames)
-    assert np.abs(np.array(found.aside) - expected).max() <= 1
-    darkest = (found.light[0, 0] - found.rest[0]).min()
-    assert darkest == pytest.approx(-0.3 if released else 0.0, abs=0.01)
-
-
-def test_a_dent_at_the_contact_is_not_left_for_a_shadow_elsewhere():
-    pixels = np.moveaxis(np.indices((60, 80)), 0, -1).reshape(-1, 2)
-    made = ShadingRecorder(TEXTURE, np.array([30, 60]), None, pixels)
-    change = np.zeros(SHAPE)
-    change[56:64, 116:124], change[20:28, 60:68] = -0.2, -0.3
-    found = made.record(np.arange(1, 5) / 25, [made.frame(seen(TEXTURE + change, True)) for _ in range(4)])
-    assert found.aside == (0, 0)
 
 
 def test_means_of_changes_leave_out_what_a_mask_leaves_of_an_instrument():

@@ -3,6 +3,7 @@
 goldens      numbers that a change must leave as they are
 recovery     synthetic clips with known truth against the best that is possible
 path_traced  presses in videos by a renderer that shares no code with this project
+path_tracer  such videos, rendered by Mitsuba 3
 compare_with_truth  results of `palpate infer` on synthetic clips
 real         real clips, judged on frames kept back from the fit
 online       Table II of Liang 2024: the online estimator on simulated pulls

@@ -22,6 +22,7 @@ MODULES = [
     "benchmarks.palpation",
     "benchmarks.palpation.example",
     "benchmarks.path_traced",
+    "benchmarks.path_tracer",
     "benchmarks.real",
     "benchmarks.recovery",
     "data.synthetic",

@@ -32,7 +32,7 @@ NOTES = {
         "Use all three, each with its 90 % interval."),
     "ratios": Note((37, 99, 235), "only ratios known",
         "Only k_d/k_s and |F|/k_s are determined; ± is the 90 % interval.",
-        "Use k_d/k_s (a time) and F/k_s (a length), not k_s, k_d or F themselves. One known force or stiffness "
+        "Use k_d/k_s (a time) and F/k_s (a length), not k_s, k_d or F themselves. One known stiffness "
         "gives all three (--force-scale)."),
     "relative_force": Note((76, 90, 140), "only the change of force known",
         "Only how the force at the grip changes over time is determined.",

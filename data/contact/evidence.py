@@ -19,7 +19,7 @@ from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.tips import tool_tips
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, background_motion
-from palpate.data.tracks.following import Shown, spread, values_at
+from palpate.data.tracks.following import COARSE, Shown, spread, values_at
 from palpate.data.tracks.linking import followed
 
 PRIOR = 0.7
@@ -241,15 +241,15 @@ def _stays(before: np.ndarray, after: np.ndarray, places: np.ndarray, moved: np.
     """
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return values_at(cv2.blur(values, (21, 21)), places)
+        return values_at(cv2.blur(values, (5, 5)), places / COARSE)
 
     right, down = cv2.Sobel(before, -1, 1, 0, scale=0.125), cv2.Sobel(before, -1, 0, 1, scale=0.125)
-    x, y = moved.T
+    x, y = moved.T / COARSE
     slopes = x**2 * mean(right**2) + 2 * x * y * mean(right * down) + y**2 * mean(down**2)
     expected = np.minimum(slopes, 2 * (mean(before**2) - mean(before) ** 2))
     difference = after - before
     change = mean(difference**2) - mean(difference) ** 2
-    noise = float(np.median(cv2.blur(difference**2, (21, 21))[::4, ::4]))
+    noise = float(np.median(cv2.blur(difference**2, (5, 5))))
     return (change < 0.4 * expected) & (expected > 2.5 * noise)
 
 

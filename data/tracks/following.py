@@ -26,6 +26,8 @@ CHECK = 2.5
 """Largest distance between a point and its return by flow and backward flow [px]."""
 RELINKED = 3
 """Interval at which pictures are linked to the first one [frames]."""
+COARSE = 4
+"""Pixels of a picture's side in one of its colours'."""
 RIM = 15
 """Width of the square by which the picture's field is shrunk [px]."""
 
@@ -75,9 +77,11 @@ class Shown:
 
     @cached_property
     def colour(self) -> np.ndarray:
-        """Logarithm of red over green, float32 [H, W]: it tells tissue from tissue, and light hardly changes it."""
-        red, green, _ = cv2.split(self.picture.astype(np.float32) + 8)
-        return cv2.GaussianBlur(np.log(red / green), (0, 0), 2.0)
+        """Logarithm of red over green, float32 [H / COARSE, W / COARSE], which light hardly changes."""
+        height, width = self.gray.shape
+        small = cv2.resize(self.picture, (width // COARSE, height // COARSE), interpolation=cv2.INTER_AREA)
+        red, green, _ = cv2.split(small.astype(np.float32) + 8)
+        return np.log(red / green)
 
     @cached_property
     def lit(self) -> np.ndarray:

@@ -116,8 +116,12 @@ class LightContacts:
 
     def _decided(self, lit: LitFrame) -> list[PreparedFrame]:
         """Return the frames that one more decides, in order."""
-        if len(self._rest) >= FEWEST_REST:
-            self._compare(lit)
+        # Without instruments nothing depends on what the colour does; frames right before them are compared, too.
+        frames = [*self._waiting, lit]
+        if len(self._rest) >= FEWEST_REST and (self._press or any(np.isfinite(one.near).any() for one in frames)):
+            for one in frames:
+                if not one.compared:
+                    self._compare(one)
         if self._press:
             return [lit.prepared] if self._goes_on(lit) else self._ended([lit])
         self._waiting.append(lit)
@@ -199,6 +203,7 @@ class LightContacts:
 
     def _compare(self, lit: LitFrame) -> None:
         """Look for a dent around instruments and where they were."""
+        lit.compared = True
         darker, redder = (
             change_of_light(quantity(lit.make_light()), quantity(self._rest.median()))
             for quantity in (brightness, redness)

@@ -38,6 +38,8 @@ class LitFrame:
     """How the frame's grid lies in the reference's."""
     near: np.ndarray
     """Distance of every place of the lattice from instruments' free ends [grid pixels]."""
+    compared: bool = False
+    """Whether it has been compared with the tissue at rest."""
     change: np.ndarray | None = None
     """Logarithm of red over the other colours less that at rest, averaged around every place; None where it isn't
     known, or where so much changes that a dent would not show."""

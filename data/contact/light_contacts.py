@@ -147,6 +147,8 @@ class LightContacts:
             return self._at_rest(len(waiting) - self._held())
         self._press, self._place = True, place
         self._most, self._deepest = int(moved.max()), float(np.nanmax(change))
+        # Its dent was seen to come, so nothing pressed before.
+        self._free |= run[0] > 0
         decided = self._at_rest(run[0])
         pressed, later = waiting[slice(*run)], waiting[run[1] :]
         self._waiting, self._last = [], pressed[-1]

@@ -17,7 +17,7 @@ from palpate.data.shading.registration import View
 from palpate.data.tracks.following import lit_field
 
 TIP, LEAST_TIP = 6.0, 6
-"""How much of an instrument's free end may press [grid pixels], and the smallest mask of one [grid pixels²]."""
+"""Length of an instrument's free end, which may press [grid pixels], and the smallest mask of one [grid pixels²]."""
 REDDER = 0.03
 """A dent is redder than at rest by at least this [logarithm]."""
 DENT, AROUND, FAR = 6.0, 20.0, 50.0
@@ -35,11 +35,11 @@ class LitFrame:
     make_grey: Callable[[], np.ndarray]
     """Return the logarithm of the picture's grey levels on the lattice, instruments and all."""
     view: View
-    """How the frame's grid lies in the reference's."""
+    """Place of the frame's grid in the reference's."""
     near: np.ndarray
     """Distance of every place of the lattice from instruments' free ends [grid pixels]."""
     compared: bool = False
-    """Whether it has been compared with the tissue at rest."""
+    """True once it has been compared with the tissue at rest."""
     change: np.ndarray | None = None
     """Logarithm of red over the other colours less that at rest, averaged around every place; None where it isn't
     known, or where so much changes that a dent would not show."""

@@ -27,7 +27,7 @@ PLACING = 4
 
 
 class Placed(NamedTuple):
-    """Where pixels' tissue lay at rest and has come to lie, at some displacements; N frames, L² pixels."""
+    """Tissue that pixels show, at rest and at some displacements; N frames, L² pixels."""
 
     normal: np.ndarray
     """Unit normal of the plane, shape [3]."""
@@ -44,7 +44,7 @@ class Placed(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """What compared pixels show, in shares of the matt light at rest; N frames, P pixels."""
+    """Light of compared pixels, in shares of the matt light at rest; N frames, P pixels."""
 
     rest: np.ndarray
     """Logarithms of the light that their tissue had at rest, colour by colour, shape [N, 3·P]."""
@@ -156,7 +156,7 @@ class LitSheet:
         )
 
     def shown(self, placed: Placed, surface: np.ndarray) -> Shown:
-        """What compared pixels show.
+        """Return the light of compared pixels.
 
         Args:
             placed: their tissue.

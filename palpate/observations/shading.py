@@ -118,7 +118,7 @@ class ShadingObservation(Observation):
         """Standard deviation of a residual where the law predicts no change, shape [3·P]."""
         self._lag = 0.0
         self.together = 1.0
-        """How many residuals count as one."""
+        """Number of residuals that count as one."""
 
     @classmethod
     def recorder(cls, onset: PreparedFrame, size: tuple[int, int], rest: RestingLight | None) -> ShadingRecorder | None:
@@ -287,7 +287,10 @@ def _law(shown: Shown, share: float, gloss: float, response: float, ambient: flo
 
 
 def _together(residual: np.ndarray, known: np.ndarray) -> float:
-    """How many residuals [N, 3, L, L] count as one: along every axis 1 and twice the sum of their correlations."""
+    """Return the number of residuals [N, 3, L, L] that count as one.
+
+    Along every axis that is 1 and twice the sum of their correlations.
+    """
     square, found = np.square(residual).sum() / max(known.sum(), 1), 1.0
     for axis in range(residual.ndim):
         values, mask = np.moveaxis(residual, axis, 0), np.moveaxis(known, axis, 0)

@@ -18,7 +18,7 @@ from palpate.data.tracks.following import lit_field
 
 TIP, LEAST_TIP = 6.0, 6
 """Length of an instrument's free end, which may press [grid pixels], and the smallest mask of one [grid pixels²]."""
-REDDER = 0.03
+REDDER = 0.06
 """A dent is redder than at rest by at least this [logarithm]."""
 DENT, AROUND, FAR = 6.0, 20.0, 50.0
 """Radius of a dent at most; motion so near to it is that of its instrument; its instrument's free end lies this near,

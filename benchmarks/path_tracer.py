@@ -164,7 +164,6 @@ class Studio:
     def __init__(self, case: dict[str, Any], generator: np.random.Generator, samples: int) -> None:
         import mitsuba  # ty: ignore[import-not-found]
 
-        mitsuba.set_variant("llvm_ad_rgb" if "llvm_ad_rgb" in mitsuba.variants() else "scalar_rgb")
         self.mi, self.case, self.samples, self.generator = mitsuba, case, samples, generator
         reflectance = {
             "type": "bitmap",
@@ -313,9 +312,14 @@ def main(arguments: list[str] | None = None) -> int:
     """Render the clips that are not there yet; return the exit status."""
     asked: PathTracer = options(PathTracer, arguments, "benchmarks.path_tracer", __doc__)
     try:
-        import mitsuba  # ty: ignore[import-not-found]  # noqa: F401
+        import mitsuba  # ty: ignore[import-not-found]
+
+        mitsuba.set_variant("llvm_ad_rgb")
     except ImportError as error:
-        raise InputError("benchmarks.path_tracer needs Mitsuba 3; pip install mitsuba.") from error
+        raise InputError(
+            "benchmarks.path_tracer needs Mitsuba 3 (pip install mitsuba) and an LLVM of 16 or newer, whose libLLVM.so "
+            "DRJIT_LIBLLVM_PATH names."
+        ) from error
     for number in range(asked.clips):
         name, seed = f"clip{number:02}", asked.seed * 1000 + number
         if not (asked.output / f"{name}.truth.json").exists():

@@ -154,7 +154,7 @@ class ClipStream:
             near = geometry.contact_distance or math.inf
             if not self.guesses_depth:
                 return self._decided(frames, MeasuredContacts(near, self.camera))
-            frames = self._decided(frames, ContactEvidence(near))
+            frames = _staged(self._decided(frames, ContactEvidence(near)), most)
             frames = self._decided(frames, LightContacts(self.camera, geometry))
         return frames
 

@@ -19,7 +19,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Generator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -33,6 +32,7 @@ from palpate.common.files import as_json
 from palpate.common.options import filled, option, parse
 from palpate.common.registry import Registry
 from palpate.common.settings import LARGEST, Positive
+from palpate.common.workers import background_process
 from palpate.data.clip import ClipStream
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import halves
@@ -144,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
     alarm = None if limit is None else ForceAlarm(limit, UNITS["force"], estimator.force_seconds, raised)
     lines = JsonLines(source, server, alarm)
     try:
-        with stopped_by_interrupt(source), ThreadPoolExecutor(1, "fit") as session.fitter:
+        with stopped_by_interrupt(source), background_process() as session.fitter:
             # Frames that wait for their decision, as a press takes longer than a frame, and one for its estimate.
             for output in estimates_of(session, clip.overlapped(16, 1, lines.notice)):
                 lines.add(output)

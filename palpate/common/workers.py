@@ -1,11 +1,11 @@
-"""Many independent tasks in a few processes of few native threads each."""
+"""Tasks in processes of few native threads each: many independent ones, or some that give way to all else."""
 
 import contextlib
 import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
@@ -46,17 +46,36 @@ def run_tasks(
         with interruptible():
             yield from map(function, tasks)
         return
+    with _processes(min(workers or os.cpu_count() or 1, len(tasks))) as pool:
+        try:
+            with _as_workers_start(threads):
+                futures = [pool.submit(function, task) for task in tasks]
+            for future in futures if ordered else as_completed(futures):
+                yield future.result()
+            pool.shutdown()
+        except BrokenProcessPool as error:
+            lost = "A worker process was killed, maybe for want of memory; use fewer workers or jobs."
+            raise WorkerLost(lost) from error
+
+
+@contextlib.contextmanager
+def background_process() -> Generator[Executor]:
+    """Start a process that runs tasks only while nothing else needs the cores (not on Windows, which has no `nice`).
+
+    Its `submit` takes functions that are importable by their names. Leaving the block ends it at once.
+    """
+    with _processes(1) as pool:
+        with _as_workers_start(1):
+            pool.submit(getattr(os, "nice", abs), 19)
+        yield pool
+
+
+@contextlib.contextmanager
+def _processes(count: int) -> Generator[ProcessPoolExecutor]:
     others = set(multiprocessing.active_children())
-    processes = min(workers or os.cpu_count() or 1, len(tasks))
-    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
     try:
-        with _as_workers_start(threads):
-            futures = [pool.submit(function, task) for task in tasks]
-        for future in futures if ordered else as_completed(futures):
-            yield future.result()
-        pool.shutdown()
-    except BrokenProcessPool as error:
-        raise WorkerLost("A worker process was killed, maybe for want of memory; use fewer workers or jobs.") from error
+        yield pool
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - others:

@@ -6,7 +6,8 @@ import math
 import time
 from collections import defaultdict, deque
 from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import cache, partial
 from typing import ClassVar
 
@@ -27,6 +28,9 @@ from palpate.estimators.run_tracker import RECORDED, UNDECIDED, Run, RunTracker
 from palpate.physics.mechanics import Bounds, Mechanics
 
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
+MOST_FITS = 4
+"""Presses of a live source that wait for their fits at most."""
+TOO_MANY = "Not fitted: presses came faster than they can be fitted here, and four were waiting."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 
@@ -58,8 +62,9 @@ class RunSession:
         self.seconds: dict[str, float] = defaultdict(float)
         """Time spent so far by stage [s]."""
         self.fitter: Executor | None = None
-        """Executor of the fits by shading, for live sources; None = later frames wait for them."""
+        """Process that fits presses by shading, for live sources; None = later frames wait for the fits."""
         self._fits: deque[Future[InteractionEstimate]] = deque()
+        self._fit_thread = ThreadPoolExecutor(1, "fit")
         self._runs = RunTracker(clip, self.mechanics.seconds, observations)
         self._grip: GripRecorder | None = None
 
@@ -101,10 +106,12 @@ class RunSession:
         """Yield the record of a run that has ended, once it is fitted."""
         if run is not None:
             recorder, self._grip = self._grip, None
-            if self.fitter is not None and self.by_light and run.lit:
-                self._fits.append(self.fitter.submit(self._recorded, run, recorder))
-            else:
+            if self.fitter is None or not (self.by_light and run.lit):
                 yield self._recorded(run, recorder)
+            elif len(self._fits) < MOST_FITS:
+                self._fits.append(self._fit_thread.submit(self._recorded, run, recorder))
+            else:
+                yield run.estimate(detail=f"{run.detail} {TOO_MANY}".strip())
         while self._fits and self._fits[0].done():
             yield self._fits.popleft().result()
 
@@ -126,7 +133,7 @@ class RunSession:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.timed("fit"):
-                    contact, found, simulated = fit_shading(contact, 1 / self.clip.fps)
+                    contact, found, simulated = self._fitted(contact)
                 doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
@@ -136,6 +143,15 @@ class RunSession:
         return run.estimate(
             interaction=contact, estimate=found, mechanics=mechanics, simulated=simulated, detail=detail
         )
+
+    def _fitted(self, contact: Interaction) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
+        """Return what `fit_shading` does."""
+        if self.fitter is None:
+            return fit_shading(contact, 1 / self.clip.fps)
+        try:
+            return self.fitter.submit(fit_shading, contact, 1 / self.clip.fps).result()
+        except BrokenProcessPool as error:
+            raise NoEstimate("The process that fits presses was killed, maybe for want of memory.") from error
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """Return the record of a run with the estimate of its grip; failures are reported if that is the `only`

@@ -4,11 +4,13 @@ import multiprocessing
 import os
 import signal
 import time
+from concurrent.futures import CancelledError
+from concurrent.futures.process import BrokenProcessPool
 
 import cv2
 import pytest
 
-from palpate.common.workers import WorkerLost, run_tasks
+from palpate.common.workers import WorkerLost, background_process, run_tasks
 
 
 def square(value: int) -> int:
@@ -64,3 +66,15 @@ def test_workers_never_see_an_interrupt_and_the_parent_does():
 def test_a_killed_worker_is_told():
     with pytest.raises(WorkerLost, match="fewer workers or jobs"):
         list(run_tasks(die, range(3), 2))
+
+
+def test_a_background_process_gives_way_and_ends_with_its_block():
+    with background_process() as process:
+        assert process.submit(square, 3).result() == 9
+        assert process.submit(os.nice, 0).result() == 19
+        assert process.submit(sees_interrupts, 0).result() is False
+        long = process.submit(time.sleep, 60)
+    assert multiprocessing.active_children() == []
+    assert os.nice(0) == 0
+    with pytest.raises((BrokenProcessPool, CancelledError)):
+        long.result()

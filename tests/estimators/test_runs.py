@@ -1,6 +1,9 @@
 """Runs of contact gathered frame by frame are those that a whole clip shows."""
 
 import math
+import threading
+from concurrent.futures import Executor
+from concurrent.futures.process import BrokenProcessPool
 from typing import NamedTuple
 from unittest.mock import create_autospec
 
@@ -10,9 +13,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as some
 
 from palpate.api import open_estimator
+from palpate.data.contact.interaction import Interaction
 from palpate.data.prepared import OUT_OF_CONTACT, STATUSES, PreparedFrame
+from palpate.data.shading.sequence import RestingLight
 from palpate.estimators import run_tracker
 from palpate.estimators import runs as module
+from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip.grip_estimate import PullResult
 from palpate.estimators.grip.recorder import GripRecorder
 from palpate.estimators.records import InteractionEstimate
@@ -198,6 +204,29 @@ def test_a_grip_that_is_not_explained_says_so() -> None:
     found = module.RunSession(clip_info(), Mechanics())._gripped(record, recorder, True)
     assert found.grip is grip
     assert found.detail == "No onset. A gripped sheet doesn't explain the motion (skill 0.20)."
+
+
+def test_fits_of_a_live_source_wait_and_more_than_four_are_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, session = threading.Event(), module.RunSession(clip_info(), Mechanics())
+
+    def recorded(run: Run, _: object) -> InteractionEstimate:
+        made.wait()
+        return run.estimate()
+
+    monkeypatch.setattr(session, "_recorded", recorded)
+    session.by_light, session.fitter = True, create_autospec(Executor, instance=True)
+    runs = [Run(frame, clip_info(), SECONDS, RestingLight()) for frame in linked([State("ok")] * 6, CONTACT)]
+    said = [found for run in runs for found in session._ended(run)]
+    assert [(found.onset_frame, found.detail) for found in said] == [(4, module.TOO_MANY), (5, module.TOO_MANY)]
+    made.set()
+    assert [(found.onset_frame, found.detail) for found in session.finish()] == [(index, "") for index in range(4)]
+
+
+def test_a_fit_whose_process_is_gone_says_so() -> None:
+    session, fitter = module.RunSession(clip_info(), Mechanics()), create_autospec(Executor, instance=True)
+    fitter.submit.side_effect, session.fitter = BrokenProcessPool, fitter
+    with pytest.raises(NoEstimate, match="killed, maybe for want of memory"):
+        session._fitted(create_autospec(Interaction, instance=True))
 
 
 @pytest.mark.parametrize(("name", "followed"), [("direct", True), ("network", False)])

@@ -48,8 +48,8 @@ TIP = 96.0
 """Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
 CAMERA_STILL = 0.5
 """A camera that moves less from picture to picture stands still [px]."""
-TOOL_POINTS, BACKGROUND_POINTS = 150, 300
-"""Points that are followed in a tip, and in the background, at most."""
+POINTS = 150
+"""Points that are followed in a tip, next to it, and in the background, about."""
 
 
 class ContactEvidence:
@@ -201,12 +201,12 @@ def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
         return []
     places = spread((before.away > GUARD) & before.lit, SPACING)
     distance = values_at(before.away, places) - GUARD
-    far = np.flatnonzero(distance > RING)
-    far = far[:: max(1, len(far) // BACKGROUND_POINTS)]
     # Every point belongs to the tip that it is nearest to, or to a shaft.
     owner = _nearest(places, tips, before)
     owner[distance > RING] = -1
-    used = np.union1d(far, np.flatnonzero(owner >= 0))
+    near, far = np.flatnonzero(owner >= 0), np.flatnonzero(distance > RING)
+    every = max(1, round(len(near) / (POINTS * len(tips))))
+    used = np.union1d(near[::every], far[:: max(1, round(len(far) / POINTS))])
     places, distance, owner = places[used], distance[used], owner[used]
     step, known = followed(before.gray, after.gray, places)
     background = background_motion(places[known & (owner < 0)], step[known & (owner < 0)])
@@ -218,13 +218,14 @@ def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
         moved[_stays(before.colour, after.colour, places, moved)] = 0.0
     motions = []
     for index, tip in enumerate(tips):
-        places = tip[:: max(1, len(tip) // TOOL_POINTS)]
+        places = tip[:: max(1, len(tip) // POINTS)]
         # Windows so small don't mix tool and tissue.
         step, found = followed(before.gray, after.gray, places, 11)
         motion = _tool_motion((step - background.at(places))[found])
         if motion is not None:
             around, errors = known & (owner == index), (background.noise, background.error)
-            motions.append(TipMotion(moved[around], distance[around], SPACING, *motion, *errors))
+            spacing = SPACING * math.sqrt(every)
+            motions.append(TipMotion(moved[around], distance[around], spacing, *motion, *errors))
     return motions
 
 

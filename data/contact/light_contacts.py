@@ -207,7 +207,7 @@ class LightContacts:
         """Look for a dent around instruments and where they were."""
         lit.compared = True
         darker, redder = (
-            change_of_light(quantity(lit.make_light()), quantity(self._rest.median()))
+            change_of_light(quantity(lit.make_light()), quantity(self._rest.median(without=2)))
             for quantity in (brightness, redness)
         )
         if darker is None or redder is None:

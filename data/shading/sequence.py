@@ -119,12 +119,14 @@ class RestingLight:
     def __init__(self) -> None:
         self._frames: deque[Callable[[], np.ndarray]] = deque(maxlen=KEPT)
         self._median: np.ndarray | None = None
-        """Median light of these frames, where it has been asked for."""
+        """Median light that was asked for last."""
+        self._later = 0
+        """Frames since then."""
 
     def push(self, light: Callable[[], np.ndarray]) -> None:
         """Take the next frame out of contact, by what returns its light as in `log_light`."""
         self._frames.append(light)
-        self._median = None
+        self._later += 1
 
     def clear(self) -> None:
         """Forget what was seen."""
@@ -134,11 +136,15 @@ class RestingLight:
     def __len__(self) -> int:
         return len(self._frames)
 
-    def median(self) -> np.ndarray:
+    def median(self, without: int = 0) -> np.ndarray:
         """Return the median light of the frames, at least one, place by place; not a number where no frame shows
-        tissue."""
-        if self._median is None:
-            self._median = _median(np.stack([light() for light in self._frames]))
+        tissue.
+
+        Args:
+            without: so many of the last frames may be left out, to save time.
+        """
+        if self._median is None or self._later > without:
+            self._median, self._later = _median(np.stack([light() for light in self._frames])), 0
         return self._median
 
 

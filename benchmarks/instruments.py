@@ -27,8 +27,9 @@ from palpate.common.command_line import say
 from palpate.common.doors import run_door
 from palpate.common.options import options
 from palpate.data.labels import TOOL
+from palpate.data.masks.annotation import read_class_mask
 from palpate.data.masks.automatic import WEIGHTS, AutomaticMasks
-from palpate.data.masks.sources import MaskClasses, read_class_mask
+from palpate.data.masks.request import MaskClasses
 from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import IMAGE_SUFFIXES, InputError

@@ -1,12 +1,12 @@
 """Presses that a path tracer drew, which shares no code with this project, compared with their truth.
 
-    python -m benchmarks.path_traced --data DIR [--given masks|depth] --output runs/path_traced
+    python -m benchmarks.path_traced --data DIR [--given video-masks|masks|depth] --output runs/path_traced
 
 DIR holds NAME.mp4 with NAME.truth.json, and for some the folder NAME with true masks and depth. `--given video` opens
-the MP4 alone, as a user has it; `--given depth` the folder; `--given masks` the folder without its depth. Lengths and
-forces count in the tissue's distance, which no plain video shows. table.csv has the measures of every clip, summary.csv
-those of all: how often frames under a press are found and others aren't, and of every quantity how many clips determine
-it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
+the MP4 alone, as a user has it; `video-masks` with the folder's masks; `depth` the folder; `masks` the folder without
+its depth. Lengths and forces count in the tissue's distance, which no plain video shows. table.csv has the measures of
+every clip, summary.csv those of all: how often frames under a press are found and others aren't, and of every quantity
+how many clips determine it, the median error of its logarithm there, and how often its 90 % interval holds the truth.
 """
 
 import functools
@@ -34,10 +34,10 @@ TRUTH = ".truth.json"
 """Ending of the files of truth."""
 
 
-def measured(clip: Path, truth: Mapping[str, Any], name: str, depth: str | None) -> Row:
-    """Frames of contact that are found, and errors of the first press that is; `depth` as in `open_clip`."""
+def measured(clip: Path, truth: Mapping[str, Any], name: str, **given: str) -> Row:
+    """Frames of contact that are found, and errors of the first press that is; `given` as in `open_clip`."""
     estimator = open_estimator(name)
-    stream = open_clip(clip, estimator, depth=depth)
+    stream = open_clip(clip, estimator, **given)
     found = list(estimates_of(estimator.start(ClipInfo.of(stream)), stream))
     contact = np.array([output.contact is True for output in found if isinstance(output, FrameEstimate)])
     pressed = np.isin(np.arange(len(contact)), truth["contact_frames"])
@@ -86,7 +86,7 @@ class PathTraced(Measurements):
 
     data: Path
     """folder of the clips"""
-    given: Literal["video", "masks", "depth"] = "video"
+    given: Literal["video", "video-masks", "masks", "depth"] = "video"
     """what is given of each"""
     estimator: Literal["direct", "network"] = "direct"
     """which"""
@@ -103,10 +103,12 @@ class PathTraced(Measurements):
         found = {}
         for file in sorted(self.data.glob(f"*{TRUTH}")):
             name = file.name.removesuffix(TRUTH)
-            clip = self.data / (f"{name}.mp4" if self.given == "video" else name)
-            if clip.exists():
-                depth = "photometric" if self.given == "masks" else None
-                found[name] = functools.partial(measured, clip, read_mapping(file, "a truth"), self.estimator, depth)
+            folder, video = self.data / name, self.data / f"{name}.mp4"
+            more = {"masks": {"depth": "photometric"}, "video-masks": {"masks": str(folder)}}.get(self.given, {})
+            clip = video if self.given in ("video", "video-masks") else folder
+            if clip.exists() and (self.given == "video" or folder.exists()):
+                truth = read_mapping(file, "a truth")
+                found[name] = functools.partial(measured, clip, truth, self.estimator, **more)
         if not found:
             raise InputError(f"{self.data} holds no NAME{TRUTH} beside its clip; give a folder of path-traced clips.")
         return found

@@ -84,7 +84,8 @@ def require_models(settings: PrepareSettings) -> list[tuple[Path, str]]:
     segmentation = mask_source_file(settings.masks)
     if segmentation is not None:
         settings_file = segmentation.with_suffix(".yaml")
-        models.append((segmentation, file_sha256(settings_file) if isfile(settings_file) else ""))
+        reading = digest_of(_file_states(segmentation)) if segmentation.is_dir() else ""
+        models.append((segmentation, file_sha256(settings_file) if isfile(settings_file) else reading))
     return models
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 from palpate.common.settings import LARGEST, Checked, NotNegative
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
-from palpate.data.masks.sources import MaskClasses
+from palpate.data.masks.request import MaskClasses
 from palpate.data.source.layout import ClipLayout
 
 PREPROCESSING_VERSION = 3
@@ -23,7 +23,7 @@ class PrepareSettings(Checked):
     """Grid, mesh and contact."""
     masks: str = "auto"
     """Source of masks: annotation, automatic, auto (annotation where the clip has it), or the path of an ONNX
-    segmentation model or of outlines (`data.masks.sources`)."""
+    segmentation model, of outlines or of a folder (`data.masks.sources`)."""
     classes: MaskClasses = field(default_factory=MaskClasses)
     """Annotated classes that are tool and tissue."""
     layout: ClipLayout = field(default_factory=ClipLayout)

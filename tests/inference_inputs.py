@@ -10,7 +10,7 @@ import numpy as np
 
 from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.normalise import DepthSettings
-from palpate.data.masks.sources import MaskClasses
+from palpate.data.masks.request import MaskClasses
 from palpate.data.settings import PREPROCESSING_VERSION
 from palpate.models.onnx_session import EXPECTED_BOUND, FORMAT_VERSION, METADATA_KEY, POSTERIOR
 from palpate.physics.mechanics import Bounds, Mechanics

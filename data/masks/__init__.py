@@ -1,6 +1,7 @@
 """Label maps of a frame, tool and tissue: from annotation, a network, outlines, or none of these.
 
-sources      the common interface MaskSource, annotation masks, and the choice between the kinds
+sources      the choice between the kinds of masks; request: what they are asked for and give
+annotation   masks stored with a clip's frames; folder: in a folder of their own
 onnx         any segmentation network as an ONNX file
 outlined     instruments that a person has outlined in a frame, followed from there
 cut          an instrument cut out by strokes

@@ -10,8 +10,8 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.model import RawDepth
 from palpate.data.depth.normalise import DepthSettings
 from palpate.data.depth.sources import DepthSource
+from palpate.data.labels import OTHER, TISSUE, TOOL
 from palpate.data.masks.class_table import CLASSES
-from palpate.data.masks.sources import OTHER, TISSUE, TOOL
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.frames import Frame, FrameSource
 from palpate.data.synthetic.clip import SyntheticClip

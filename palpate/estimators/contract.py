@@ -38,8 +38,8 @@ class Preparation:
     depth_preset: str | None = option(None, metavar="PRESET", setting="depth.preset")
     """preset or .yaml file with the settings to read --depth MODEL.onnx"""
     masks: str | None = option(None, metavar="SOURCE", names=mask_names)
-    """a segmentation model's .onnx file, outlines of instruments in a frame, which are followed from there (a .yaml
-    file, docs/masks.md), auto (annotation where there is one, else automatic; default), or a source"""
+    """a segmentation model's .onnx file, a folder of masks, outlines of instruments in a frame, which are followed from
+    there (a .yaml file, docs/masks.md), auto (annotation where there is one, else automatic; default), or a source"""
     layout: Path | ClipLayout | None = option(None, metavar="FILE")
     """YAML file that names a folder's files (default: CholecSeg8k)"""
     topic: str | None = option(None, metavar="NAME", setting="layout.topic")

@@ -12,7 +12,8 @@ from palpate.data.contact.geometry import GeometrySettings
 from palpate.data.depth.model import DepthModel
 from palpate.data.depth.normalise import BUILT_IN, MOST_THREADS, DepthSettings
 from palpate.data.depth.preset import resolve_model
-from palpate.data.masks.sources import MaskClasses, check_masks
+from palpate.data.masks.request import MaskClasses
+from palpate.data.masks.sources import check_masks
 from palpate.data.settings import NUMBERS, PrepareSettings
 from palpate.data.source.layout import InputError, from_mapping
 from palpate.estimators.contract import Estimator, Preparation

@@ -56,7 +56,7 @@ class Session(RunSession):
         return found, (np.zeros(1), np.zeros(1)), "It was not looked at."
 '''
 MASKS = '''
-from palpate.data.masks.sources import AnnotationMasks
+from palpate.data.masks.annotation import AnnotationMasks
 
 
 class Drawn(AnnotationMasks):

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from palpate.data.labels import TISSUE, TOOL, UNSURE
+from palpate.data.masks.annotation import AnnotationMasks
 from palpate.data.masks.automatic import AutomaticMasks, instrument_parts
 from palpate.data.masks.lit import lit_picture, picture_field
-from palpate.data.masks.sources import AnnotationMasks, MaskClasses, MaskRequest
+from palpate.data.masks.request import MaskClasses, MaskRequest
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, load_layout
 from tests.conftest import CHECKOUT

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from palpate.data.masks.onnx import OnnxMasks
-from palpate.data.masks.sources import MaskClasses, mask_source_file, open_masks
+from palpate.data.masks.request import MaskClasses
+from palpate.data.masks.sources import mask_source_file, open_masks
 from palpate.data.source.frames import Frame
 from palpate.data.source.layout import ClipLayout, InputError
 from tests.networks import write_network

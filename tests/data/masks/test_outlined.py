@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from palpate.data.labels import MaskError
+from palpate.data.masks.annotation import AnnotationMasks
 from palpate.data.masks.outlined import OutlinedMasks
-from palpate.data.masks.sources import AnnotationMasks, MaskClasses, MaskRequest, open_masks
+from palpate.data.masks.request import MaskClasses, MaskRequest
+from palpate.data.masks.sources import open_masks
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from tests.conftest import CHECKOUT

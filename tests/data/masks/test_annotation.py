@@ -8,10 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.data.masks import sources
+from palpate.data.labels import MaskError
+from palpate.data.masks import annotation
+from palpate.data.masks.annotation import read_class_mask
 from palpate.data.masks.automatic import WEIGHTS, AutomaticMasks
 from palpate.data.masks.class_table import CLASSES
-from palpate.data.masks.sources import MaskClasses, MaskError, open_masks, read_class_mask
+from palpate.data.masks.request import MaskClasses
+from palpate.data.masks.sources import open_masks
 from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from tests.conftest import CHECKOUT
@@ -150,7 +153,7 @@ def test_auto_is_annotation_where_the_clip_has_any(tmp_path):
     assert isinstance(opened("auto", tmp_path / "video.mp4"), AutomaticMasks)
     assert isinstance(opened("auto", tmp_path), AutomaticMasks)
     write(tmp_path / "frame_80_endo_color_mask.png", color_mask())
-    assert isinstance(opened("auto", tmp_path), sources.AnnotationMasks)
+    assert isinstance(opened("auto", tmp_path), annotation.AnnotationMasks)
     assert isinstance(opened("automatic", tmp_path), AutomaticMasks)
     assert opened(str(WEIGHTS), tmp_path).identity == AutomaticMasks().identity
     other = MaskClasses(tool=("l-hook electrocautery",))
@@ -175,12 +178,12 @@ def test_label_mask_of_inverse_polarity_and_opening(tmp_path):
     mask = np.ones((60, 60), np.uint8)
     mask[20:40, 0:30] = 0
     mask[50:53, 50:53] = 0
-    labels = sources.read_label_mask(write(tmp_path / "m.png", mask), (60, 60), layout)
+    labels = annotation.read_label_mask(write(tmp_path / "m.png", mask), (60, 60), layout)
     assert (labels[22:38, 0:28] == 2).all()
     assert (labels[50:53, 50:53] == 0).all()
     assert (labels[mask == 1] == 1).all()
     with pytest.raises(MaskError, match="not a label mask"):
-        sources.read_label_mask(write(tmp_path / "m.png", color_mask()), SIZE, layout)
+        annotation.read_label_mask(write(tmp_path / "m.png", color_mask()), SIZE, layout)
 
 
 def test_real_clip_annotation(real_data):

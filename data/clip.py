@@ -4,17 +4,15 @@ Per frame: picture → labels → depth, free of lens distortion → grid → no
 the next frame: observed displacement and the contact's track (Bini 2026, sections 3.2.1 and 3.2.2).
 """
 
-import contextlib
 import dataclasses
 import math
-import time
-from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from palpate.common.ahead import Item, ahead
+from palpate.common.stages import StageSeconds
 from palpate.data.cache import CacheEntry, PreparedClip, cache_key
 from palpate.data.contact.clearance import MeasuredContacts
 from palpate.data.contact.evidence import ContactEvidence
@@ -27,7 +25,8 @@ from palpate.data.depth.shading import organ_shape
 from palpate.data.depth.sources import DepthSource
 from palpate.data.gaps import bridge_gaps, gap
 from palpate.data.labels import TISSUE, UNSURE, MaskError
-from palpate.data.masks.sources import MaskSource, chosen_kind, open_masks
+from palpate.data.masks.request import MaskSource
+from palpate.data.masks.sources import chosen_kind, open_masks
 from palpate.data.prepared import PreparedFrame
 from palpate.data.settings import PrepareSettings
 from palpate.data.source.camera import Camera, Undistortion, clip_camera
@@ -67,8 +66,7 @@ class ClipStream:
             InputError: a model, preset, camera or clip file can't be used, or the camera is of another shape.
         """
         self.source, self.settings = source, settings
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Time spent so far by stage [s]."""
+        self.seconds = StageSeconds()
         of_clip, runs = (settings.layout, settings.classes, source.path), settings.depth
         self._masks = masks or open_masks(
             settings.masks, *of_clip, threads=runs.threads, device=runs.device, every=settings.every
@@ -92,7 +90,7 @@ class ClipStream:
         self._scale_error = ""
         self.scale, focal = math.nan, None
         """Depth that is z = 1 [unit of the depth source]; NaN if no frame has depth."""
-        with self._timed("scale"):
+        with self.seconds.timed("scale"):
             try:
                 self.scale, focal = estimate_scale(source, self._depth, settings.depth)
             except InputError as error:
@@ -137,7 +135,7 @@ class ClipStream:
         for prepared in _staged(self._judged(most, noticed), decided):
             held.append(prepared)
             if len(held) > 1:
-                with self._timed("tracking"):
+                with self.seconds.timed("tracking"):
                     motion.link(*held[-2:])
                 if motion.settled:
                     yield from held[:-1]
@@ -163,7 +161,7 @@ class ClipStream:
     ) -> Iterator[PreparedFrame]:
         """Frames once their contact is decided, which may be some frames later."""
         for prepared in frames:
-            with self._timed("contact"):
+            with self.seconds.timed("contact"):
                 decided = contacts.push(prepared)
             yield from decided
         yield from contacts.finish()
@@ -172,13 +170,13 @@ class ClipStream:
         """Frames in order, whether each repeats the one before, and its label map, or why there is none."""
         frames = mark_repeats(self.source, look_ahead)
         while True:
-            with self._timed("decode"):
+            with self.seconds.timed("decode"):
                 frame, repeats = next(frames, (None, False))
             if frame is None:
                 return
             labels: np.ndarray | str = frame.error
             if frame.image is not None and not repeats:
-                with self._timed("masks"):
+                with self.seconds.timed("masks"):
                     try:
                         labels = self._masks(frame)
                     except MaskError as error:
@@ -222,7 +220,7 @@ class ClipStream:
             frame = dataclasses.replace(frame, image=self._undistortion.image(frame.image))
             depth = depth if depth_before is not None else self._undistortion.depth(depth)
             labels = None if labels is None else self._undistortion.labels(labels)
-        with self._timed("geometry"):
+        with self.seconds.timed("geometry"):
             plain = np.zeros(frame.picture.shape[:2], np.uint8) if labels is None else labels
             known = np.where(plain == UNSURE, TISSUE, plain)
             # What of shading is shape is found on the grid.
@@ -248,7 +246,7 @@ class ClipStream:
         if self._scale_error:
             return nothing, self._scale_error
         try:
-            with self._timed("depth"):
+            with self.seconds.timed("depth"):
                 return self._depth(frame), ""
         except InputError as error:
             return nothing, str(error)
@@ -274,15 +272,6 @@ class ClipStream:
         else:
             prepared.geometry, prepared.distance = geometry, geometry.distance
         return prepared
-
-    @contextlib.contextmanager
-    def _timed(self, stage: str) -> Generator[None]:
-        """Adds the time spent inside a `with` block to a stage's total."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[stage] += time.perf_counter() - start
 
 
 def _staged(frames: Iterator[Item], most: int) -> Iterator[Item]:

@@ -86,6 +86,10 @@ class PreparedFrame:
         """Return whether it is the next measurement after the frame of that number."""
         return self.frame.number - len(self.skipped) - number == 1
 
+    def reject(self, detail: str) -> None:
+        """Take it that nothing touches the tissue, for a reason."""
+        self.status, self.detail, self.geometry = "no_contact", detail, None
+
     def press_at(self, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings) -> bool:
         """Take the tissue at a grid pixel (u, v) with a dent for the contact; return whether that gives a mesh."""
         try:

@@ -111,7 +111,7 @@ class ContactEvidence:
         returned = PRIOR * (1 - stayed)
         earlier.contact_probability = probability = later * (returned + stayed) + (1 - later) * returned
         if probability < THRESHOLD:
-            earlier.status, earlier.detail, earlier.geometry = "no_contact", HOVERS.format(probability), None
+            earlier.reject(HOVERS.format(probability))
 
     def judge(self, prepared: PreparedFrame) -> None:
         """Decide a frame whose outlines touch: its probability, and `no_contact` where the tool hovers.
@@ -144,7 +144,7 @@ class ContactEvidence:
         self._hovering = None
         if probability < THRESHOLD:
             self._hovering = prepared, prepared.contact
-            prepared.status, prepared.detail, prepared.geometry = "no_contact", HOVERS.format(probability), None
+            prepared.reject(HOVERS.format(probability))
         prepared.undecided = self._undecided and THRESHOLD <= probability < CERTAIN
 
     def _begin(self, shown: Shown, prepared: PreparedFrame) -> None:

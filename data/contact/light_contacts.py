@@ -200,7 +200,7 @@ class LightContacts:
     def _reject(prepared: PreparedFrame) -> None:
         """Reject a contact that outlines show, and light doesn't."""
         if prepared.in_contact or prepared.hovers:
-            prepared.status, prepared.detail, prepared.geometry = "no_contact", UNCHANGED, None
+            prepared.reject(UNCHANGED)
             prepared.contact_probability, prepared.undecided = math.nan, False
 
     def _compare(self, lit: LitFrame) -> None:

@@ -7,6 +7,6 @@ settings      values of settings that come from files; tables: rows as CSV
 lazy          public names of packages, loaded when asked for; provenance: digest of the code
 onnx_devices  where ONNX networks run, and opening them
 workers       processes that work through tasks; ahead: threads that do so for the next stage
-distributed   workers of other machines
+distributed   workers of other machines; stages: time that stages take
 robust        Student's errors, spreads by medians, affine motions of points
 """

@@ -103,14 +103,14 @@ class GanSession(RunSession):
         self._contacts.append((current.out_of_contact, current.in_contact))
         contact, run = current.geometry, self._runs.current
         if contact is not None and run is not None and depth is not None:
-            with self.timed("network"):
+            with self.seconds.timed("network"):
                 theta = self.estimator.model(depth[None])[0]
             if run.builder is not None and current.track_start == run.index:
                 # Smaller magnitudes of parameters count as this before their logarithm is taken.
                 self._log_sum += np.log(np.maximum(np.abs(theta.astype(np.float64)), 1e-12))
                 self._count += 1
             direction = force_direction(contact.normal, current.displacement, self.clip.geometry)
-            with self.timed("simulation"):
+            with self.seconds.timed("simulation"):
                 mechanics = self.estimator.mechanics
                 press = Press.at(contact.vertex, direction, held(mechanics.load_steps, mechanics.steps))
                 path = simulate(theta, contact.mesh, press, mechanics)

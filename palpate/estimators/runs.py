@@ -1,11 +1,9 @@
 """The part of a session that all estimators share: the record of every run of contact, and of every frame."""
 
-import contextlib
 import dataclasses
 import math
-import time
-from collections import defaultdict, deque
-from collections.abc import Generator, Iterator, Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache, partial
@@ -13,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from palpate.common.stages import StageSeconds
 from palpate.data.contact.evidence import CERTAIN, PRIOR
 from palpate.data.contact.geometry import FrameGeometry
 from palpate.data.contact.interaction import Horizon, Interaction
@@ -59,23 +58,13 @@ class RunSession:
         """True if a press is estimated by the light of the tissue, where it is known."""
         self.needs_light = False
         """True if that light is looked at although depth is measured."""
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Time spent so far by stage [s]."""
+        self.seconds = StageSeconds()
         self.fitter: Executor | None = None
         """Process that fits presses by shading, for live sources; None = later frames wait for the fits."""
         self._fits: deque[Future[InteractionEstimate]] = deque()
         self._fit_thread = ThreadPoolExecutor(1, "fit")
         self._runs = RunTracker(clip, self.mechanics.seconds, observations)
         self._grip: GripRecorder | None = None
-
-    @contextlib.contextmanager
-    def timed(self, stage: str) -> Generator[None, None, None]:
-        """Add the time that is spent within to that of a stage."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[stage] += time.perf_counter() - start
 
     def finish(self) -> Iterator[FrameEstimate | InteractionEstimate]:
         """Yield the record of the run that the clip's end has cut off, after those that are still being fitted."""
@@ -93,7 +82,7 @@ class RunSession:
     def _follow(self, frame: PreparedFrame) -> None:
         """Record the motion around the instrument, too; sessions that estimate grips call this after every frame."""
         run = self._runs.current
-        with self.timed("follow"):
+        with self.seconds.timed("follow"):
             # A run without an onset has no other observation.
             if run is None or not (self.follows_all or run.builder is None or (self.by_light and run.lit)):
                 self._grip = None
@@ -132,7 +121,7 @@ class RunSession:
         try:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
-                with self.timed("fit"):
+                with self.seconds.timed("fit"):
                     contact, found, simulated = self._fitted(contact)
                 doubts = found.refuted
             else:
@@ -158,7 +147,7 @@ class RunSession:
         estimate."""
         found, sentence = None, ""
         try:
-            with self.timed("grip"):
+            with self.seconds.timed("grip"):
                 found = recorder.estimate()
         except NoEstimate as reason:
             sentence = str(reason) if only else ""

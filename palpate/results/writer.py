@@ -1,13 +1,14 @@
 """One clip's results, in a folder that is complete or not there at all."""
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from palpate.common.stages import StageSeconds
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.frames import FrameSource
 from palpate.estimators.estimate import NoEstimate
@@ -57,8 +58,7 @@ class ClipResults:
         self.estimates: list[FrameEstimate] = []
         """Estimates of all frames so far, without their fields: memory must not grow with the clip."""
         self.contacts: list[ContactForce] = []
-        self.seconds: dict[str, float] = defaultdict(float)
-        """Time spent so far by stage [s]."""
+        self.seconds = StageSeconds()
         self.counts: Counter[str] = Counter()
         """Number of contacts by verdict."""
         self.unexplained: Counter[str] = Counter()

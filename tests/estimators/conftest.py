@@ -12,10 +12,11 @@ from palpate.data.settings import PrepareSettings
 from palpate.data.synthetic.clip import SyntheticClip
 from palpate.data.synthetic.settings import SceneSettings
 from palpate.data.synthetic.source import open_synthetic
-from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.estimators.network.fits import MECHANICS
 from palpate.models.onnx_export import export
 from palpate.models.onnx_session import PosteriorModel
 from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import RECOMMENDED
 from tests.data.clips import make_clip
 from tests.estimators.sessions import SIZE, clip_info
 from tests.inference_inputs import metadata
@@ -40,8 +41,8 @@ def posterior(tmp_path_factory: pytest.TempPathFactory) -> PosteriorModel:
     """An untrained posterior, exported."""
     torch.manual_seed(0)
     path, features = tmp_path_factory.mktemp("posterior") / "contact.onnx", FEATURES + SEQUENCE_FEATURES
-    sections = {"geometry": clip_info().geometry, "mechanics": MECHANICS, "bounds": BOUNDS}
+    sections = {"geometry": clip_info().geometry, "mechanics": MECHANICS, "bounds": RECOMMENDED}
     told = {name: dataclasses.asdict(section) for name, section in sections.items()}
     document = metadata(**told, observation="trajectory", contact={"press_seconds": (0.24, 0.48)})
-    export(ContactPosterior(features, torch.tensor(BOUNDS.log_box), width=16, blocks=1), path, document)
+    export(ContactPosterior(features, torch.tensor(RECOMMENDED.log_box), width=16, blocks=1), path, document)
     return PosteriorModel(path)

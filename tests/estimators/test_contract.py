@@ -26,10 +26,11 @@ from palpate.data.synthetic.source import SyntheticSource, _Depth, _Masks, open_
 from palpate.estimators.contract import Estimator, Output
 from palpate.estimators.direct.estimator import WHOLE, fitted_press
 from palpate.estimators.estimate import PressResult
-from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.estimators.network.fits import MECHANICS
 from palpate.estimators.online.particle_field import ParticleField
 from palpate.estimators.open import ESTIMATORS, settings_of
 from palpate.estimators.records import CONTACTS, FRAMES, FrameEstimate, InteractionEstimate
+from palpate.physics.mechanics import RECOMMENDED
 from palpate.physics.msd.simulation import simulate
 from tests.data.clips import make_clip
 from tests.estimators.sessions import SIZE, State, clip_info, follow, linked, sorted_out, touched
@@ -55,7 +56,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     coarse.write_text("particles: 60\nstrain: 0.002\n")  # a press across the line of sight moves little
     thick = folder / "thick.yaml"
     thick.write_text("particles: 90\nthickness: 0.1\nstrain: 0.002\n")
-    document = metadata(3, **common, bounds=dataclasses.asdict(BOUNDS), mechanics=dataclasses.asdict(MECHANICS))
+    document = metadata(3, **common, bounds=dataclasses.asdict(RECOMMENDED), mechanics=dataclasses.asdict(MECHANICS))
     write_posterior(folder / "depth.onnx", document, FEATURES + SEQUENCE_FEATURES)
     return {
         "network": settings_of("network"),

@@ -132,7 +132,7 @@ class DirectSession(RunSession):
         return found, simulated_motion(contact, found, self.mechanics)
 
     def _whole(self, contact: Interaction) -> tuple[PressResult, tuple[np.ndarray, np.ndarray], str]:
-        with self.timed("fit"):
+        with self.seconds.timed("fit"):
             found, motion = self.fit(contact)
         return found, motion, doubts(found, self.estimator.bounds)
 

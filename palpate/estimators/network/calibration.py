@@ -35,11 +35,11 @@ from palpate.common.options import options
 from palpate.data.contact.features import FEATURES, FRAME_RATE, KNOWN, LOADED, LOG_NOISE, REFERENCE_SPACING, SLOTS
 from palpate.data.contact.interaction import PRESS
 from palpate.data.contact.sequence_features import SEQUENCE_FEATURES, WITHIN
-from palpate.data.masks.sources import MaskClasses
+from palpate.data.masks.request import MaskClasses
 from palpate.data.settings import PREPROCESSING_VERSION
 from palpate.data.source.layout import read_mapping
 from palpate.data.synthetic.source import PREPARE
-from palpate.estimators.network.fits import BOUNDS, MECHANICS, SCENES
+from palpate.estimators.network.fits import MECHANICS, SCENES
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.models.calibration import Calibration, Widths
 from palpate.models.calibration_fit import fit_widths
@@ -47,6 +47,7 @@ from palpate.models.checkpoint import load_posterior
 from palpate.models.onnx_export import calibrate, export
 from palpate.models.onnx_session import PosteriorModel
 from palpate.models.posterior import ContactPosterior
+from palpate.physics.mechanics import RECOMMENDED
 
 
 def widths_of(rows: Sequence[Mapping[str, Any]]) -> Widths:
@@ -115,7 +116,7 @@ def metadata(weights: Path) -> dict[str, object]:
     Args:
         weights: file of the network's weights.
     """
-    settings = {"bounds": BOUNDS, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
+    settings = {"bounds": RECOMMENDED, "mechanics": MECHANICS, "geometry": PREPARE.geometry, "classes": MaskClasses()}
     pressed = [round(seconds * SCENES.fps) / SCENES.fps for seconds in SCENES.press_seconds]
     contact = {"features": FEATURES + SEQUENCE_FEATURES, "slots": SLOTS, "frame_rate": FRAME_RATE}
     motions = "simulated contacts (palpate.estimators.network.training)"
@@ -176,7 +177,10 @@ def main(arguments: list[str] | None = None) -> int:
             calibration = calibration_of(asked)
             difference = calibrate(asked.model, asked.output, calibration)
         else:
-            calibration, posterior = None, ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.tensor(BOUNDS.log_box))
+            calibration, posterior = (
+                None,
+                ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.tensor(RECOMMENDED.log_box)),
+            )
             load_posterior(posterior, asked.weights)
             difference = export(posterior, asked.output, metadata(asked.weights))
     except (OSError, RuntimeError, ValueError) as error:

@@ -179,10 +179,10 @@ class NetworkSession(RunSession):
             ModelFileError: the network gives a number that is not finite.
         """
         estimator, within = self.estimator, self._onset_error * contact.intervals
-        with self.timed("network"):
+        with self.seconds.timed("network"):
             features = DepthObservation.features(contact, within)[None]
             mean, covariance, bound = estimator.model(features, None if depth is None else depth[None])
-        with self.timed("simulation"):
+        with self.seconds.timed("simulation"):
             whole = estimator.judged(contact, self.mechanics, within, mean[0], covariance[0], bound[0])
         error = effective_misfit(whole)
         unsure = is_oblique(whole) or error > whole.largest_misfit
@@ -226,7 +226,7 @@ class NetworkSession(RunSession):
             return 0.0, observed
         if steps > self.mechanics.steps:
             return None, observed
-        with self.timed("simulation"):
+        with self.seconds.timed("simulation"):
             press = Press.at(contact.vertex, contact.direction, held(steps, steps))
             path = simulate(found.theta, contact.mesh, press, self.mechanics)
         return float(np.linalg.norm(path[-1])), observed

@@ -35,8 +35,6 @@ from palpate.physics.observation import CommonErrors
 
 MECHANICS = Mechanics(scheme="dkd", window_error=1e-4)
 """The simulator of the fits."""
-BOUNDS = RECOMMENDED
-"""Admissible box of θ, and so the prior."""
 FRAME_S = 1 / FRAME_RATE
 """Largest distance of the press's beginning and end from their time stamps, where they aren't known [s]."""
 SCENES = SceneSettings(width=214, height=120)
@@ -125,7 +123,7 @@ def motion_slopes(problem: JointLikelihood, logs: np.ndarray) -> np.ndarray:
 
 def _explained(problem: JointLikelihood, start: np.ndarray) -> tuple[np.ndarray, float]:
     """Fit a motion from a start [3] or, where that fails, from several; return the parameters and the RMS residual."""
-    low, high = box = problem.motion.box(BOUNDS.log_box)
+    low, high = box = problem.motion.box(RECOMMENDED.log_box)
 
     def fitted(begin: np.ndarray) -> tuple[float, np.ndarray]:
         end = find_optimum(problem, begin, box)

@@ -143,7 +143,7 @@ class OnlineSession(RunSession):
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """Take the next frame."""
         yield from self._ended(self._runs.push(frame))
-        with self.timed("online"):
+        with self.seconds.timed("online"):
             field = self._field(frame)
         doubts = "" if field is not None or not frame.in_contact else self._reason
         verdict = "" if not frame.in_contact else "undetermined" if field is None else field.verdict

@@ -1,6 +1,5 @@
 """overlay.mp4: the clip with what was found drawn on it."""
 
-import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -26,10 +25,9 @@ class Overlay(Artefact):
         self._drawing.append(self._drawer.submit(self._draw, estimate, image, labels))
 
     def _draw(self, estimate, image, labels) -> None:
-        start = time.perf_counter()
-        self._corner = panel_corner(labels, self._corner)
-        self._video.write(draw_overlay(image, self.clip.size, labels, estimate, self._corner))
-        self.clip.seconds["overlay"] += time.perf_counter() - start
+        with self.clip.seconds.timed("overlay"):
+            self._corner = panel_corner(labels, self._corner)
+            self._video.write(draw_overlay(image, self.clip.size, labels, estimate, self._corner))
 
     def _wait(self, left: int) -> None:
         """Wait until so few pictures are left to be drawn."""

@@ -16,14 +16,14 @@ from palpate.data.synthetic.source import open_synthetic
 from palpate.estimators.contract import Preparation
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.network.estimator import NO_NOISE, TOO_EARLY, UNEXPLAINED, NetworkEstimator, NetworkSettings
-from palpate.estimators.network.fits import BOUNDS, MECHANICS
+from palpate.estimators.network.fits import MECHANICS
 from palpate.estimators.network.misfit import LARGEST_MISFIT, compared
 from palpate.estimators.oblique import HIDDEN_ERROR, LARGEST_ANGLE, OBLIQUE
 from palpate.estimators.onset import BETWEEN, STAMP
 from palpate.estimators.result import values_of
 from palpate.physics.identifiability import NINETY
 from palpate.physics.load import held
-from palpate.physics.mechanics import theta_of
+from palpate.physics.mechanics import RECOMMENDED, theta_of
 from palpate.physics.msd.simulation import simulate
 from palpate.physics.observation import Observation
 from tests.estimators.sessions import SIZE, clip_info, follow
@@ -64,7 +64,7 @@ def estimated(network: NetworkEstimator, contact: Interaction) -> PressResult:
     return network.start(clip_info()).estimate(contact, None)
 
 
-WIDTHS = BOUNDS.log_box[1] - BOUNDS.log_box[0]
+WIDTHS = RECOMMENDED.log_box[1] - RECOMMENDED.log_box[0]
 
 
 def added_by(misfit: float, information: np.ndarray) -> np.ndarray:

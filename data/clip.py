@@ -121,7 +121,7 @@ class ClipStream:
         """
         return self.overlapped(0, 0)
 
-    def overlapped(self, most: int = 2, decided: int = 16, noticed: Noticed = None) -> Iterator[PreparedFrame]:
+    def overlapped(self, most: int = 2, decided: int = 4, noticed: Noticed = None) -> Iterator[PreparedFrame]:
         """Yield the same frames, while threads prepare the next ones and decide about their contact.
 
         Args:

@@ -8,5 +8,6 @@ lazy          public names of packages, loaded when asked for; provenance: diges
 onnx_devices  where ONNX networks run, and opening them
 workers       processes that work through tasks; ahead: threads that do so for the next stage
 distributed   workers of other machines; stages: time that stages take
+heap          what the C library keeps of freed memory
 robust        Student's errors, spreads by medians, affine motions of points
 """

@@ -13,6 +13,8 @@ from collections.abc import Callable, Generator
 from types import ModuleType
 from typing import Any, NoReturn
 
+from palpate.common.heap import share_heap
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 
@@ -33,6 +35,7 @@ class _Output(io.FileIO):
 def enter_door() -> None:
     """Let Ctrl-C end the program at once, and output never; letters a terminal lacks are escaped."""
     _quit_at_interrupt()
+    share_heap()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is not None:  # closed by the shell

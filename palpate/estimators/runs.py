@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from palpate.common.heap import trim_heap
 from palpate.common.stages import StageSeconds
 from palpate.data.contact.evidence import CERTAIN, PRIOR
 from palpate.data.contact.geometry import FrameGeometry
@@ -111,6 +112,7 @@ class RunSession:
         record = self._pressed(run)
         if recorder is not None and record.verdict in ("", "undetermined"):
             record = self._gripped(record, recorder, run.builder is None)
+        trim_heap()
         return record
 
     def _pressed(self, run: Run) -> InteractionEstimate:

@@ -91,10 +91,13 @@ class ContactEvidence:
         if follows and not self._came and (probability < THRESHOLD or probability >= CERTAIN):
             for age, earlier in enumerate(reversed(self._last), 1):
                 self._revise(earlier, probability, (1 - FORGETS) ** age)
-        waits = prepared.in_contact and probability < CERTAIN and not (self._came or prepared.undecided)
-        frames, kept = [*self._last, prepared], WAITS if waits else 1
+        frames, kept = [*self._last, prepared], WAITS if self.waits(prepared) else 1
         self._last = frames[-kept:]
         return frames[:-kept]
+
+    def waits(self, prepared: PreparedFrame) -> bool:
+        """Return whether a later frame may decide a frame that was judged."""
+        return prepared.in_contact and prepared.contact_probability < CERTAIN and not (self._came or prepared.undecided)
 
     def finish(self) -> list[PreparedFrame]:
         """The frames that are left at the clip's end."""
@@ -206,9 +209,12 @@ def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
     owner[distance > RING] = -1
     near, far = np.flatnonzero(owner >= 0), np.flatnonzero(distance > RING)
     every = max(1, round(len(near) / (POINTS * len(tips))))
-    used = np.union1d(near[::every], far[:: max(1, round(len(far) / POINTS))])
-    places, distance, owner = places[used], distance[used], owner[used]
-    step, known = followed(before.gray, after.gray, places)
+    few = np.concatenate([near[::every], far[:: max(1, round(len(far) / POINTS))]])
+    step, known = np.zeros((len(places), 2)), np.zeros(len(places), bool)
+    step[few], known[few] = followed(before.gray, after.gray, places[few])
+    if 2 * known.sum() < len(few):  # on smooth tissue
+        others, every = np.setdiff1d(np.concatenate([near, far]), few), 1
+        step[others], known[others] = followed(before.gray, after.gray, places[others])
     background = background_motion(places[known & (owner < 0)], step[known & (owner < 0)])
     if background is None:
         return []

@@ -11,17 +11,21 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
 from palpate.common.robust import median_sd
-from palpate.data.contact.evidence import ContactEvidence
-from palpate.data.contact.geometry import LEAST_NOISE
+from palpate.data.contact.evidence import WAITS, ContactEvidence
+from palpate.data.contact.geometry import LEAST_NOISE, FrameGeometry, RestTissue
 from palpate.data.contact.outlines import near
+from palpate.data.contact.rest_depth import RestDepth
 from palpate.data.contact.surface import smooth_surface
 from palpate.data.labels import OTHER, TISSUE, TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.source.camera import Camera
 
-MEETS, HOVERS, LEAVES = 2.5, 4.0, 5.0
-"""Contact begins below the first, and ends above the last, so many standard deviations of the distance. Motion decides
-whether it begins between the first two."""
+MEETS, HOVERS, LEAVES, PRESSES = 2.5, 4.0, 5.0, 8.0
+"""Contact begins below the first, and ends above the third, so many standard deviations of the distance. Motion decides
+whether it begins between the first two; below the last an instrument touches tissue that has sunk around it."""
+SUNK, NEXT_TO, BESIDE = 5.0, 6.0, 15.0
+"""Tissue has sunk by so many standard deviations of its depth, as measured far from instruments' ends, beyond the last;
+next to them is within the second [cells]."""
 AROUND = 30
 """Nothing farther from an instrument's tip is looked at [cells]."""
 APART = "The instrument's end is {:.3g} scene units from the tissue by measured depth; contact needs {:.3g} or less."
@@ -75,6 +79,25 @@ def end_clearance(prepared: PreparedFrame, camera: Camera) -> tuple[float, float
     return float(distance[least]), math.hypot(0.7 * cell[least], noise)
 
 
+def has_sunk(prepared: PreparedFrame, rest: RestTissue) -> bool:
+    """Return whether tissue next to instruments' free ends lies deeper than at rest: they press it, or just did.
+
+    Args:
+        prepared: a frame with ends.
+        rest: depth at rest in its view.
+    """
+    ends, labels = prepared.ends_within(1.5), prepared.labels
+    assert ends is not None
+    known = (labels == TISSUE) & (prepared.depth > 0) & rest.known & ~near(labels == TOOL)
+    change = np.where(known, prepared.depth - rest.depth, 0.0)
+    away = distance_transform_edt(~ends)
+    noise = max(median_sd(change[known & (away > BESIDE)]), 1e-4)
+    # The mean of nine cells, of which five are known.
+    count = uniform_filter(known.astype(np.float64), 3)
+    mean = uniform_filter(change, 3) / np.maximum(count, 1e-9)
+    return bool((mean[(away < NEXT_TO) & (count > 0.5)] > SUNK * noise).any())
+
+
 class MeasuredContacts(ContactEvidence):
     """Contact of a clip whose depth is measured; evidence decides where instruments have no usable depth.
 
@@ -86,24 +109,45 @@ class MeasuredContacts(ContactEvidence):
     def __init__(self, near: float, camera: Camera) -> None:
         super().__init__(near)
         self._camera, self._touches = camera, False
+        self._pressed = math.inf
+        """Distance in the frame before, if the instrument touched there; it leaves its dent where that grows."""
+        self._rest = RestDepth()
+        self._standing: list[tuple[PreparedFrame, FrameGeometry | None]] = []
+        """The last frames in a row whose instrument may press tissue nearby, and the contacts that outlines show."""
 
     def judge(self, prepared: PreparedFrame) -> None:
-        """Decide a frame by distance where instrument and tissue have a depth."""
+        """Decide a frame by distance where instrument and tissue have a depth, and those before it in which the
+        instrument stood there already when the dent was too shallow to be seen.
+        """
         outlined, decidable = prepared.geometry, prepared.status in ("ok", "no_contact")
         super().judge(prepared)
         found = end_clearance(prepared, self._camera) if decidable else None
+        near, self._standing = self._standing, []
         if found is None:
-            self._touches = False
+            self._touches, self._pressed = False, math.inf
             return
         distance, sd = found
-        limit = (LEAVES if self._touches else HOVERS) * sd
+        deepens = MEETS * sd < distance <= min(PRESSES * sd, self._pressed + sd)
+        presses = deepens and has_sunk(prepared, self._rest.at(prepared))
+        limit = (PRESSES if presses else LEAVES if self._touches else HOVERS) * sd
         if distance > limit:
-            prepared.status, prepared.geometry = "no_contact", None
-            prepared.detail = APART.format(distance, limit)
-        elif outlined is not None and (self._touches or distance <= MEETS * sd):
+            prepared.reject(APART.format(distance, limit))
+        elif outlined is not None and (self._touches or presses or distance <= MEETS * sd):
             prepared.status, prepared.detail, prepared.geometry = "ok", "", outlined
         elif prepared.in_contact:
             self._touches = True
             return
         prepared.distance, self._touches = distance, prepared.in_contact
+        self._pressed = distance if self._touches else math.inf
         prepared.contact_probability, prepared.undecided, self._hovering = math.nan, False, None
+        while presses and near and near[-1][0].distance <= distance:
+            earlier, geometry = near.pop()
+            earlier.status, earlier.detail, earlier.geometry = "ok", "", geometry
+        if distance > PRESSES * sd:
+            self._rest.push(prepared)
+        elif not self._touches:
+            self._standing = [*near, (prepared, outlined)][-WAITS:]
+
+    def waits(self, prepared: PreparedFrame) -> bool:
+        """See `ContactEvidence`."""
+        return bool(self._standing) or super().waits(prepared)

@@ -129,6 +129,14 @@ class Interaction:
         """Observed motion along the force's direction, shape [N], float64 [scene units]."""
         return self.moved.astype(np.float64) @ np.asarray(self.direction, np.float64)
 
+    def unhidden(self) -> Interaction:
+        """Return the contact, with unknown displacements at its depth's times where its point was always hidden."""
+        if len(self.observation) or self.sequence is None:
+            return self
+        times = self.sequence.times
+        unknown = np.full((len(times), 3), np.nan, np.float32)
+        return self.having(point=Observation.of_point(self.vertex, times, unknown, self.noise))
+
     def observed(self, instants: np.ndarray) -> Interaction:
         """Return the interaction, observed at some of its instants only, a mask or indices; other records as far as the
         last."""

@@ -55,7 +55,7 @@ class PressCourse:
     """Patch, direction and course of the press; None = taken to be a step on one vertex."""
     view_angle: float | None = None
     """Angle between the contact's direction and the line of sight [degrees] (`estimators.oblique`); None = not
-    known."""
+    known, or the dent is too shallow to hide its bottom."""
 
     @property
     def delays(self) -> tuple[float, float]:

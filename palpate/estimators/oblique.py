@@ -27,6 +27,23 @@ def view_angle(contact: Interaction) -> float:
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(ray, direction)), np.abs(ray @ direction))))
 
 
+def hides_bottom(rest: np.ndarray, moved: np.ndarray, direction: np.ndarray, angle: float) -> bool:
+    """Return whether walls of a dent hide its bottom from a camera that looks aslant: they must be steep for that.
+
+    Args:
+        rest: vertices at rest, shape [V, 3] [scene units].
+        moved: their displacements, shape [N, V, 3] [scene units].
+        direction: along which they are pressed, shape [3].
+        angle: between that and the line of sight [degrees].
+    """
+    sunk = np.abs(moved @ direction)
+    frame, bottom = np.unravel_index(int(sunk.argmax()), sunk.shape)
+    aside = rest - rest[bottom]
+    aside = np.linalg.norm(aside - np.outer(aside @ direction, direction), axis=1)
+    wall = sunk[frame, bottom] - sunk[frame]
+    return bool((wall * np.tan(np.radians(angle)) > aside).any())
+
+
 def is_oblique(estimate: PressResult) -> bool:
     """Return whether the contact is pressed so far from the line of sight that its dent may hide its own bottom."""
     angle = estimate.course.view_angle

@@ -46,6 +46,8 @@ class RunSession:
 
     follows_all: ClassVar = False
     """True if the motion around the instrument is recorded of every run, not only where depth may constrain nothing."""
+    needs_point: ClassVar = True
+    """True if a press can be estimated only where the very tissue that the instrument touches is followed."""
 
     def __init__(
         self, clip: ClipInfo, mechanics: Mechanics, horizon: Horizon = None, observations: Sequence[str] = RECORDED
@@ -117,6 +119,8 @@ class RunSession:
 
     def _pressed(self, run: Run) -> InteractionEstimate:
         contact = None if run.builder is None else run.builder.build(self.mechanics, self.horizon)
+        if contact is not None and not self.needs_point:
+            contact = contact.unhidden()
         if contact is None or not (len(contact.observation) or contact.shows_light):
             return run.estimate(detail=run.unobserved)
         mechanics = self.mechanics

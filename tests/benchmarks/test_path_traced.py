@@ -3,10 +3,12 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
 from benchmarks import path_traced
 from palpate.data.synthetic.clip import draw_truth, write_clip
+from palpate.estimators.direct.estimator import MODEL_COVARIANCE
 from tests.tables import read_rows
 from tests.test_infer import SCENE
 
@@ -29,7 +31,8 @@ def test_frames_and_errors_of_a_press_are_those_of_its_truth(tmp_path, capsys):
     assert int(found["other_found"]) == 0
     assert found["verdict"] == "determined"
     for name in ("stiffness", "damping", "force"):
-        assert abs(float(found[f"{name}_error"])) < 4 * float(found[f"{name}_sd"]) < 0.5
+        error, sd = (float(found[f"{name}_{end}"]) for end in ("error", "sd"))
+        assert error**2 < 16 * (sd**2 - np.diag(MODEL_COVARIANCE).min()) < 0.5**2
     summary = {row["measure"]: row for row in read_rows(tmp_path / "out" / "summary.csv")}
     assert int(summary["stiffness"]["count"]) == 1
     assert float(summary["force"]["median error"]) == pytest.approx(abs(float(found["force_error"])))

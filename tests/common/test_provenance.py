@@ -92,5 +92,17 @@ def test_a_prepared_clip_depends_on_what_preparing_it_imports() -> None:
     assert not [name for name in ours if name.startswith(NOT_PREPARATION)]
     others = {name for name in ours if not name.startswith("data/")}
     # The helpers load modules, name sources, show names, read and list files, refuse settings and hand items on.
-    helpers = ("__init__", "ahead", "lazy", "provenance", "doors", "settings", "files", "output", "registry")
+    helpers = [
+        "__init__",
+        "ahead",
+        "lazy",
+        "provenance",
+        "doors",
+        "settings",
+        "files",
+        "output",
+        "registry",
+        "heap",
+        "stages",
+    ]
     assert others - {f"common/{name}.py" for name in helpers} == {"physics/__init__.py", *PREPARATION} - {MASKS}

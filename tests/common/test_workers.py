@@ -47,15 +47,22 @@ def test_workers_have_one_native_thread_and_the_parent_keeps_its_own(monkeypatch
     assert "OMP_NUM_THREADS" not in os.environ
 
 
+def children_end() -> bool:
+    """Wait until no process is left.
+
+    Not by joining them: the pool's own thread does so too, and whoever is slower sees a child that seems alive.
+    """
+    deadline = time.monotonic() + 10
+    while multiprocessing.active_children() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return multiprocessing.active_children() == []
+
+
 def test_leaving_early_ends_the_workers():
     results = run_tasks(square, range(50), 2)
     next(results)
     results.close()
-    # Not by joining them: the pool's own thread does so too, and whoever is slower sees a child that seems alive.
-    deadline = time.monotonic() + 10
-    while multiprocessing.active_children() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert multiprocessing.active_children() == []
+    assert children_end()
 
 
 def test_workers_never_see_an_interrupt_and_the_parent_does():
@@ -74,7 +81,7 @@ def test_a_background_process_gives_way_and_ends_with_its_block():
         assert process.submit(os.nice, 0).result() == 19
         assert process.submit(sees_interrupts, 0).result() is False
         long = process.submit(time.sleep, 60)
-    assert multiprocessing.active_children() == []
+    assert children_end()
     assert os.nice(0) == 0
     with pytest.raises((BrokenProcessPool, CancelledError)):
         long.result()

@@ -38,6 +38,17 @@ def test_the_angle_is_that_between_ray_and_direction_either_way(angle: float, si
     assert oblique.view_angle(contact) == pytest.approx(angle, abs=1e-9)
 
 
+@pytest.mark.parametrize(("deep", "angle", "hidden"), [(0.03, 5.0, False), (0.03, 8.0, True), (0.003, 30.0, False)])
+def test_only_steep_walls_hide_the_bottom_of_a_dent(deep: float, angle: float, hidden: bool) -> None:
+    """A wall a cell away hides it where its depth · tan(angle) exceeds that cell."""
+    rest = np.stack([*np.mgrid[:5, :5], np.zeros((5, 5))], axis=-1).reshape(-1, 3) * 0.003
+    moved = np.zeros((2, 25, 3))
+    moved[1, 12, 2] = deep
+    assert oblique.hides_bottom(rest, moved, np.array([0.0, 0.0, -1.0]), angle) == hidden
+    moved[1, :, 2] = deep
+    assert not oblique.hides_bottom(rest, moved, np.array([0.0, 0.0, -1.0]), angle)
+
+
 def test_only_oblique_contacts_are_expected_to_hide_an_error() -> None:
     for facing in (ESTIMATE, seen_at(0.2), seen_at(oblique.LARGEST_ANGLE)):
         assert not oblique.is_oblique(facing)

@@ -25,7 +25,7 @@ from palpate.estimators.direct.problem import (
 )
 from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
 from palpate.estimators.estimate import PressCourse, PressResult
-from palpate.estimators.oblique import effective_misfit, is_oblique, view_angle
+from palpate.estimators.oblique import effective_misfit, hides_bottom, is_oblique, view_angle
 from palpate.observations.base import JointLikelihood
 from palpate.physics.depth import REACH
 from palpate.physics.identifiability import bounds, box_information
@@ -116,6 +116,10 @@ def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray)
     )
     if not is_oblique(found):
         return found
+    contact, angle = problem.first.contact, view_angle(problem.first.contact)
+    dent = contact.mesh.vertices[problem.first.vertices], problem.motion.at(best.logs)[0]
+    if not hides_bottom(*dent, np.asarray(contact.direction, np.float64), angle):
+        return dataclasses.replace(found, course=dataclasses.replace(found.course, view_angle=None))
     hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
     return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
 

@@ -53,6 +53,24 @@ def test_contact_is_where_the_end_meets_the_tissue_whatever_outlines_say(noise: 
     assert all(math.isnan(made.contact_probability) for made in decided)
 
 
+THICKER = 0.005
+"""How much thicker an instrument is than it is wide: its distance seems larger by that [scene units]."""
+
+
+@pytest.mark.parametrize(("dents", "touches"), [((0, 0, 0.002, 0.004, 0.004), True), ((0, 0, 0, 0, 0), False)])
+def test_tissue_that_sinks_around_an_instrument_is_touched_from_when_it_stood_there(dents, touches) -> None:
+    """One that stands as far from tissue, or leaves its dent behind, touches nothing."""
+    frames = [frame(number, clear) for number, clear in enumerate((0.12, 0.09, 0.06, *[THICKER] * 5, 0.06, 0.12))]
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    for made, dent in zip(frames[3:], (*dents, dents[-1], dents[-1]), strict=True):
+        tissue = made.labels == TISSUE
+        made.depth[tissue] += (dent * np.exp(-np.hypot(column - 41, row - 30) / 6))[tissue]
+    contacts = MeasuredContacts(0.02, CAMERA)
+    decided = [done for made in frames for done in contacts.push(made)] + contacts.finish()
+    assert [made.frame.number for made in decided] == list(range(10))
+    assert [made.in_contact for made in decided] == [False] * 3 + [touches] * 5 + [False] * 2
+
+
 @pytest.mark.parametrize("tool_depth", [0.0, 1.2])
 def test_an_instrument_without_usable_depth_is_judged_by_evidence(tool_depth: float) -> None:
     """It has none, or one behind the tissue."""

@@ -75,6 +75,19 @@ def test_without_a_sequence_there_is_no_estimate_and_it_says_why() -> None:
         session.fit(contact.having(depth=few))
 
 
+def test_of_tissue_that_is_hidden_all_the_time_the_depth_around_counts() -> None:
+    contact = contact_of(REGIMES["critical"])
+    assert contact.unhidden() is contact
+    around = DepthSequence(np.array([0.04, 0.08, 0.2]), np.zeros((3, 15, 15)), SequenceNoise(NOISE, 0.0), (214, 120))
+    hidden = contact.observed(np.zeros(len(contact.observation), bool))
+    assert hidden.unhidden() is hidden
+    found = hidden.having(depth=around).unhidden()
+    np.testing.assert_array_equal(found.observation.times, around.times)
+    assert np.isnan(found.along).all()
+    assert (found.noise, found.steps) == (contact.noise, round(0.2 / found.time_step))
+    assert DirectEstimator(DirectSettings()).start(clip_info()).needs_point is False
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [

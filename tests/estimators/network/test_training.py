@@ -240,7 +240,7 @@ def test_options_that_can_t_be_followed_get_a_sentence(option, reason, tmp_path,
 
 @pytest.fixture(scope="module")
 def fitted(unsure: list[SimulatedContact]) -> list[Fitted]:
-    middle = drawing.BOUNDS.log_box.mean(axis=0)
+    middle = RECOMMENDED.log_box.mean(axis=0)
     return [fit_sequence((unsure[index].interaction, middle, within)) for index, within in enumerate(MADE)]
 
 

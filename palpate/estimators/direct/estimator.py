@@ -37,7 +37,7 @@ LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue around the contact is visible."""
 MODEL_COVARIANCE = 0.1**2 * (np.ones((3, 3)) + np.diag([0.0, 1.0, 1.0]))
 """Covariance of φ by what simulator, mesh and masks get wrong: a tenth of k_d/k_s and of F/k_s, and a tenth common to
-all three, by `python -m benchmarks.path_traced --given depth` on 18 presses."""
+all three, by `python -m benchmarks.path_traced --given depth` on presses at hand and of `benchmarks.path_tracer`."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -14,7 +15,7 @@ from tests.conftest import CHECKOUT
 from tests.data.bags import write_bag
 from tests.data.depth.test_model import build
 from tests.data.masks.test_onnx import BOTH, save_model
-from tests.inference_inputs import SIZE, write_clip, write_model, write_video
+from tests.inference_inputs import SIZE, encode, write_clip, write_model, write_video
 from tests.sequences import write_sequence
 from tests.test_docs import GUIDE
 
@@ -67,6 +68,11 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_video(folder / f"{name}.mp4")
         (folder / f"{name}.outlines.yaml").write_text("0:\n  - [[60, 0], [60, 30], [95, 30], [95, 0]]\n")
     pictures = [read_image(path) for path in sorted((folder / "clip").glob("*_endo.png"))]
+    (folder / "masks").mkdir()
+    for index in range(len(pictures)):
+        mask = np.zeros(SIZE[::-1], np.uint8)
+        mask[:30, 60:95] = 255
+        (folder / "masks" / f"{index:06d}.png").write_bytes(encode(mask))
 
     def recorded(make):
         yield from (("/image", make.image(index, picture)) for index, picture in enumerate(pictures))

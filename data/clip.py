@@ -37,7 +37,7 @@ from palpate.data.source.repeats import mark_repeats
 STAGES = 5
 """Number of concurrent pipeline stages: masks, preparation of a frame, contact, estimation and drawing."""
 Noticed = Callable[[PreparedFrame], None] | None
-"""Callback for every frame that is prepared, before its contact is decided."""
+"""Callback for every frame with what it and earlier ones tell of its contact, before later ones decide."""
 
 
 class ClipStream:
@@ -145,24 +145,28 @@ class ClipStream:
 
     def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with their contact decided, by the frames around them as well."""
-        geometry, prepared = self.settings.geometry, self._prepared(most, noticed)
-        measured = bridge_gaps(prepared, stored=not self.guesses_depth)
-        frames = _staged(measured, most)
-        if geometry.contact == "touching":
+        geometry = self.settings.geometry
+        judged = geometry.contact == "touching"
+        prepared = self._prepared(most, noticed is not None, None if judged else noticed)
+        frames = _staged(bridge_gaps(prepared, stored=not self.guesses_depth), most)
+        if judged:
             near = geometry.contact_distance or math.inf
             if not self.guesses_depth:
-                return self._decided(frames, MeasuredContacts(near, self.camera))
-            frames = _staged(self._decided(frames, ContactEvidence(near)), most)
+                return self._decided(frames, MeasuredContacts(near, self.camera), noticed)
+            frames = _staged(self._decided(frames, ContactEvidence(near), noticed), most)
             frames = self._decided(frames, LightContacts(self.camera, geometry))
         return frames
 
     def _decided(
-        self, frames: Iterator[PreparedFrame], contacts: ContactEvidence | LightContacts
+        self, frames: Iterator[PreparedFrame], contacts: ContactEvidence | LightContacts, noticed: Noticed = None
     ) -> Iterator[PreparedFrame]:
-        """Frames once their contact is decided, which may be some frames later."""
+        """Frames once their contact is decided, which may be some frames later; `noticed` as they are by themselves."""
         for prepared in frames:
             with self.seconds.timed("contact"):
                 decided = contacts.push(prepared)
+            if noticed is not None:
+                for each in (*prepared.skipped, prepared):
+                    noticed(each)
             yield from decided
         yield from contacts.finish()
 
@@ -183,13 +187,12 @@ class ClipStream:
                         labels = str(error)
             yield frame, repeats, labels
 
-    def _prepared(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
-        """Every frame by itself, in order."""
+    def _prepared(self, most: int, live: bool, noticed: Noticed) -> Iterator[PreparedFrame]:
+        """Every frame by itself, in order; a caller that is live can't wait for later ones."""
         shape = (self.settings.geometry.height, self.settings.geometry.width)
         kept: np.ndarray | None = None
         instruments = InstrumentNumbers()
-        # A caller that is notified of frames as they come can't wait for later ones.
-        masked = _staged(self._masked(noticed is None), most if noticed is None else min(most, 1))
+        masked = _staged(self._masked(not live), min(most, 1) if live else most)
         for count, (frame, repeats, labels) in enumerate(masked):
             if repeats:
                 prepared = gap(frame, shape)

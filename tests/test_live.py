@@ -48,6 +48,7 @@ def test_every_frame_of_a_pipe_is_printed_once_with_how_late_it_is(pictures, mon
     assert [line["frame"] for line in first] == [line["frame"] for line in frames]
     assert all(lines.index(one) < lines.index(last) for one, last in zip(first, frames, strict=True))
     assert all(0 < one["latency_s"] < last["latency_s"] for one, last in zip(first, frames, strict=True))
+    assert any(0 < one.get("contact_probability", 0) < 1 for one in first)
     assert {one.get("status", last["status"]) for one, last in zip(first, frames, strict=True)} >= {"no_contact"}
     # The first half second went into the depth's scale.
     assert [line["frame"] for line in frames] == list(range(len(frames)))

@@ -6,9 +6,10 @@
 
 A line holds what `parameters.csv` of `palpate infer` holds of a frame, how late it is, and how many frames were dropped
 so far; where a run of contact has ended, another one holds what `interactions.csv` does. Whether an instrument touches
-is decided by later frames, too; so every frame has a line before, at once, whose `decided` is false. Where depth is
-measured the network estimates every frame; in RGB video a press is fitted after its end, while frames go on. The
-estimator online estimates stiffness place by place. Research software, not a medical device.
+is decided by later frames, too; so every frame has a line before, at once, whose `decided` is false, with the
+probability of contact until then. Where depth is measured the network estimates every frame; in RGB video a press is
+fitted after its end, while frames go on. The estimator online estimates stiffness place by place. Research software,
+not a medical device.
 """
 
 import dataclasses
@@ -175,9 +176,11 @@ class JsonLines:
         self._one = threading.Lock()
 
     def notice(self, prepared: PreparedFrame) -> None:
-        """Print what a frame shows before its contact is decided; called from another thread than `add`."""
+        """Print what is known of a frame before later ones decide; called from another thread than `add`."""
         frame = prepared.frame
         found: dict[str, Any] = {"frame": frame.number, "time_s": round(frame.time_s, 6), "decided": False}
+        if math.isfinite(prepared.contact_probability):
+            found["contact_probability"] = round(prepared.contact_probability, 4)
         if prepared.status in ("no_tool", "no_tissue", "bad_depth", "unreadable", "no_mask", "repeated"):
             found["status"] = prepared.status  # later frames don't change it
         self._send(found | self._lateness(frame.number, decided=False))

@@ -91,6 +91,7 @@ def has_sunk(prepared: PreparedFrame, rest: RestTissue) -> bool:
     known = (labels == TISSUE) & (prepared.depth > 0) & rest.known & ~near(labels == TOOL)
     change = np.where(known, prepared.depth - rest.depth, 0.0)
     away = distance_transform_edt(~ends)
+    # Depth that is exact is still known to some 1e-4 only: it is rounded and interpolated.
     noise = max(median_sd(change[known & (away > BESIDE)]), 1e-4)
     # The mean of nine cells, of which five are known.
     count = uniform_filter(known.astype(np.float64), 3)

@@ -91,8 +91,11 @@ def has_sunk(prepared: PreparedFrame, rest: RestTissue) -> bool:
     known = (labels == TISSUE) & (prepared.depth > 0) & rest.known & ~near(labels == TOOL)
     change = np.where(known, prepared.depth - rest.depth, 0.0)
     away = distance_transform_edt(~ends)
+    far = known & (away > BESIDE)
+    if not far.any():
+        return False
     # Depth that is exact is still known to some 1e-4 only: it is rounded and interpolated.
-    noise = max(median_sd(change[known & (away > BESIDE)]), 1e-4)
+    noise = max(median_sd(change[far]), 1e-4)
     # The mean of nine cells, of which five are known.
     count = uniform_filter(known.astype(np.float64), 3)
     mean = uniform_filter(change, 3) / np.maximum(count, 1e-9)

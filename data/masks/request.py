@@ -1,4 +1,4 @@
-"""What a source of masks is asked for, and what it gives."""
+"""Requests for sources of masks, and the interface of these."""
 
 from dataclasses import dataclass
 from pathlib import Path

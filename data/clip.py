@@ -5,6 +5,7 @@ the next frame: observed displacement and the contact's track (Bini 2026, sectio
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -146,16 +147,15 @@ class ClipStream:
     def _judged(self, most: int, noticed: Noticed) -> Iterator[PreparedFrame]:
         """Frames with their contact decided, by the frames around them as well."""
         geometry = self.settings.geometry
-        judged = geometry.contact == "touching"
-        prepared = self._prepared(most, noticed is not None, None if judged else noticed)
+        prepared = self._prepared(most, live=noticed is not None)
         frames = _staged(bridge_gaps(prepared, stored=not self.guesses_depth), most)
-        if judged:
+        if geometry.contact == "touching":
             near = geometry.contact_distance or math.inf
             if not self.guesses_depth:
                 return self._decided(frames, MeasuredContacts(near, self.camera), noticed)
             frames = _staged(self._decided(frames, ContactEvidence(near), noticed), most)
-            frames = self._decided(frames, LightContacts(self.camera, geometry))
-        return frames
+            return self._decided(frames, LightContacts(self.camera, geometry))
+        return map(functools.partial(_notify, noticed), frames)
 
     def _decided(
         self, frames: Iterator[PreparedFrame], contacts: ContactEvidence | LightContacts, noticed: Noticed = None
@@ -164,9 +164,7 @@ class ClipStream:
         for prepared in frames:
             with self.seconds.timed("contact"):
                 decided = contacts.push(prepared)
-            if noticed is not None:
-                for each in (*prepared.skipped, prepared):
-                    noticed(each)
+            _notify(noticed, prepared)
             yield from decided
         yield from contacts.finish()
 
@@ -187,7 +185,7 @@ class ClipStream:
                         labels = str(error)
             yield frame, repeats, labels
 
-    def _prepared(self, most: int, live: bool, noticed: Noticed) -> Iterator[PreparedFrame]:
+    def _prepared(self, most: int, *, live: bool) -> Iterator[PreparedFrame]:
         """Every frame by itself, in order; a caller that is live can't wait for later ones."""
         shape = (self.settings.geometry.height, self.settings.geometry.width)
         kept: np.ndarray | None = None
@@ -200,8 +198,6 @@ class ClipStream:
                 prepared = self.prepared(frame, labels, kept if count % self.settings.every else None)
                 prepared.instruments = instruments.push(prepared)
                 kept = prepared.depth if self.guesses_depth and prepared.has_depth else None
-            if noticed is not None:
-                noticed(prepared)
             yield prepared
 
     def prepared(self, frame: Frame, shown: np.ndarray | str, depth_before: np.ndarray | None = None) -> PreparedFrame:
@@ -275,6 +271,14 @@ class ClipStream:
         else:
             prepared.geometry, prepared.distance = geometry, geometry.distance
         return prepared
+
+
+def _notify(noticed: Noticed, prepared: PreparedFrame) -> PreparedFrame:
+    """Call back for a frame, after those that it has skipped; returns it."""
+    if noticed is not None:
+        for each in (*prepared.skipped, prepared):
+            noticed(each)
+    return prepared
 
 
 def _staged(frames: Iterator[Item], most: int) -> Iterator[Item]:

@@ -90,6 +90,10 @@ class PreparedFrame:
         """Take it that nothing touches the tissue, for a reason."""
         self.status, self.detail, self.geometry = "no_contact", detail, None
 
+    def accept(self, geometry: FrameGeometry | None) -> None:
+        """Take it that an instrument touches the tissue there."""
+        self.status, self.detail, self.geometry = "ok", "", geometry
+
     def press_at(self, pixel: tuple[int, int], camera: Camera, settings: GeometrySettings) -> bool:
         """Take the tissue at a grid pixel (u, v) with a dent for the contact; return whether that gives a mesh."""
         try:

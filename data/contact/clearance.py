@@ -112,8 +112,8 @@ class MeasuredContacts(ContactEvidence):
 
     def __init__(self, near: float, camera: Camera) -> None:
         super().__init__(near)
-        self._camera, self._touches = camera, False
-        self._pressed = math.inf
+        self._camera = camera
+        self._touched: float | None = None
         """Distance in the frame before, if the instrument touched there; it leaves its dent where that grows."""
         self._rest = RestDepth()
         self._standing: list[tuple[PreparedFrame, FrameGeometry | None]] = []
@@ -127,29 +127,29 @@ class MeasuredContacts(ContactEvidence):
         super().judge(prepared)
         found = end_clearance(prepared, self._camera) if decidable else None
         near, self._standing = self._standing, []
+        touched, self._touched = self._touched, None
         if found is None:
-            self._touches, self._pressed = False, math.inf
             return
         distance, sd = found
-        deepens = MEETS * sd < distance <= min(PRESSES * sd, self._pressed + sd)
+        deepens = MEETS * sd < distance <= min(PRESSES * sd, math.inf if touched is None else touched + sd)
         presses = deepens and has_sunk(prepared, self._rest.at(prepared))
-        limit = (PRESSES if presses else LEAVES if self._touches else HOVERS) * sd
+        sure = touched is not None or presses or distance <= MEETS * sd
+        limit = (PRESSES if presses else HOVERS if touched is None else LEAVES) * sd
         if distance > limit:
             prepared.reject(APART.format(distance, limit))
-        elif outlined is not None and (self._touches or presses or distance <= MEETS * sd):
-            prepared.status, prepared.detail, prepared.geometry = "ok", "", outlined
-        elif prepared.in_contact:
-            self._touches = True
-            return
-        prepared.distance, self._touches = distance, prepared.in_contact
-        self._pressed = distance if self._touches else math.inf
+        elif outlined is not None and sure:
+            prepared.accept(outlined)
+        self._touched = distance if prepared.in_contact else None
+        if prepared.in_contact and not sure:
+            return  # by evidence
+        prepared.distance = distance
         prepared.contact_probability, prepared.undecided, self._hovering = math.nan, False, None
         while presses and near and near[-1][0].distance <= distance:
             earlier, geometry = near.pop()
-            earlier.status, earlier.detail, earlier.geometry = "ok", "", geometry
+            earlier.accept(geometry)
         if distance > PRESSES * sd:
             self._rest.push(prepared)
-        elif not self._touches:
+        elif self._touched is None:
             self._standing = [*near, (prepared, outlined)][-WAITS:]
 
     def waits(self, prepared: PreparedFrame) -> bool:

@@ -142,7 +142,7 @@ class ContactEvidence:
         probability = prepared.contact_probability = max(probability, PRIOR if met else 0.0)
         if self._arrives and self._hovering is not None:
             arrived, geometry = self._hovering
-            arrived.status, arrived.detail, arrived.geometry = "ok", "", geometry
+            arrived.accept(geometry)
             arrived.contact_probability, arrived.undecided = PRIOR, True
         self._hovering = None
         if probability < THRESHOLD:

@@ -39,9 +39,7 @@ class AnnotationMasks:
     def __call__(self, frame: Frame) -> np.ndarray:
         """Label map of a frame of the clip's folder (see MaskSource)."""
         (file, pattern), size = mask_file(self.layout, frame), frame.picture.shape[:2]
-        if pattern == self.layout.label_mask:
-            return read_label_mask(file, size, self.layout)
-        return read_class_mask(file, size, self.classes)
+        return read_annotation(file, pattern, size, self.layout, self.classes)
 
 
 def mask_file(layout: ClipLayout, frame: Frame) -> tuple[Path, str]:
@@ -62,6 +60,19 @@ def mask_file(layout: ClipLayout, frame: Frame) -> tuple[Path, str]:
 def has_masks(clip: Path, layout: ClipLayout) -> bool:
     """Return whether a clip's folder holds at least one annotation mask."""
     return any(matches(clip, pattern) for pattern in layout.mask_patterns)
+
+
+def read_annotation(
+    file: Path, pattern: str, size: tuple[int, int], layout: ClipLayout, classes: MaskClasses
+) -> np.ndarray:
+    """Label map of a mask by a pattern of a layout, of a frame of a size (height, width).
+
+    Raises:
+        MaskError: as in `read_label_mask` and `read_class_mask`.
+    """
+    if pattern == layout.label_mask:
+        return read_label_mask(file, size, layout)
+    return read_class_mask(file, size, classes)
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> np.ndarray:

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from palpate.data.labels import TISSUE, TOOL, MaskError
-from palpate.data.masks.annotation import read_class_mask, read_label_mask, read_mask
+from palpate.data.masks.annotation import read_annotation, read_mask
 from palpate.data.masks.lit import lit_picture
 from palpate.data.masks.request import MaskRequest
 from palpate.data.source.frames import Frame
@@ -48,9 +48,7 @@ class FolderMasks:
         if file is None:
             raise MaskError(f"{self._folder} holds no mask {frame.number + self._first}; add it for this frame.")
         if self._pattern:
-            if self._pattern == self._layout.label_mask:
-                return read_label_mask(file, size, self._layout)
-            return read_class_mask(file, size, self._classes)
+            return read_annotation(file, self._pattern, size, self._layout, self._classes)
         mask = read_mask(file, size)
         labels = lit_picture(frame.picture).astype(np.uint8) * np.uint8(TISSUE)
         labels[mask.reshape(*size, -1).any(axis=2)] = TOOL

@@ -30,7 +30,7 @@ from palpate.physics.mechanics import Bounds, Mechanics
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
 MOST_FITS = 4
 """Presses of a live source that wait for their fits at most."""
-TOO_MANY = "Not fitted: presses came faster than they can be fitted here, and four were waiting."
+TOO_MANY = f"Not fitted: presses came faster than they can be fitted here, and {MOST_FITS} were waiting."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 

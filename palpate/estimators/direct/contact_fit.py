@@ -116,10 +116,11 @@ def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray)
     )
     if not is_oblique(found):
         return found
-    contact, angle = problem.first.contact, view_angle(problem.first.contact)
+    contact, course = problem.first.contact, found.course
+    assert course.view_angle is not None
     dent = contact.mesh.vertices[problem.first.vertices], problem.motion.at(best.logs)[0]
-    if not hides_bottom(*dent, np.asarray(contact.direction, np.float64), angle):
-        return dataclasses.replace(found, course=dataclasses.replace(found.course, view_angle=None))
+    if not hides_bottom(*dent, np.asarray(contact.direction, np.float64), course.view_angle):
+        return dataclasses.replace(found, course=dataclasses.replace(course, view_angle=None))
     hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
     return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
 

@@ -23,6 +23,7 @@ from palpate.estimators.contract import SMOOTHING, ClipInfo, Estimator, Output
 from palpate.estimators.direct.contact_fit import fit_press
 from palpate.estimators.direct.joint import fit_together
 from palpate.estimators.direct.motion import FITTED
+from palpate.estimators.direct.shading_fit import WITHIN
 from palpate.estimators.estimate import NoEstimate, PressResult
 from palpate.estimators.oblique import remark
 from palpate.estimators.onset import PressSettings, onset_error
@@ -37,7 +38,7 @@ LEAST_OBSERVATIONS = 3
 """Frames after the onset in which the tissue around the contact is visible."""
 MODEL_COVARIANCE = 0.1**2 * (np.ones((3, 3)) + np.diag([0.0, 1.0, 1.0]))
 """Covariance of φ by what simulator, mesh and masks get wrong: a tenth of k_d/k_s and of F/k_s, and a tenth common to
-all three, by `python -m benchmarks.path_traced --given depth` on presses at hand and of `benchmarks.path_tracer`."""
+all three. It was chosen on path-traced presses, such as `python -m benchmarks.path_traced --given depth` measures."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class DirectSession(RunSession):
         super().__init__(clip, estimator.mechanics, settings.horizon, tuple(dict.fromkeys((*RECORDED, *names))))
         self.by_light, self.needs_light = names in ((), (SHADING,)), SHADING in names
         self.estimator = estimator
-        self._within = 1.5 * onset_error(settings.onset, clip.fps)
+        self._within = WITHIN * onset_error(settings.onset, clip.fps)
 
     def push(self, frame: PreparedFrame) -> Iterator[Output]:
         """Take the next frame."""

@@ -177,10 +177,8 @@ def main(arguments: list[str] | None = None) -> int:
             calibration = calibration_of(asked)
             difference = calibrate(asked.model, asked.output, calibration)
         else:
-            calibration, posterior = (
-                None,
-                ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.tensor(RECOMMENDED.log_box)),
-            )
+            calibration = None
+            posterior = ContactPosterior(FEATURES + SEQUENCE_FEATURES, torch.tensor(RECOMMENDED.log_box))
             load_posterior(posterior, asked.weights)
             difference = export(posterior, asked.output, metadata(asked.weights))
     except (OSError, RuntimeError, ValueError) as error:

@@ -10,6 +10,7 @@ import onnx
 import onnxruntime
 import torch
 from lightning.pytorch import LightningModule
+from onnx.numpy_helper import to_array
 from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 from torch import Tensor
@@ -17,7 +18,7 @@ from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from palpate.models.checkpoint import CheckpointError
-from palpate.models.instruments.network import InstrumentNet
+from palpate.models.instruments.network import InstrumentNet, TwoLooks
 from palpate.models.onnx_export import to_onnx, write
 
 IGNORED = 255
@@ -96,7 +97,7 @@ class InstrumentSegmentation(LightningModule):
     def validation_step(self, batch: list[Tensor], index: int) -> None:
         """IoU of a batch's pictures."""
         pictures = PictureBatch(*batch)
-        logits = self.averaged(pictures.picture).float()
+        logits = TwoLooks(self.averaged)(pictures.picture).float()
         found = functional.interpolate(logits, scale_factor=2.0, mode="bilinear")[:, 0] > 0
         known, true = pictures.tool != IGNORED, pictures.tool == 1
         both, either = (found & true & known).sum((1, 2)), ((found | true) & known).sum((1, 2))
@@ -133,12 +134,13 @@ class InstrumentSegmentation(LightningModule):
         """
         pictures = torch.cat([batch[0] for batch in datamodule.val_dataloader()])
         network = self.averaged.module.cpu().eval()
-        model = quantised(to_onnx(network, {"picture": pictures[:1].repeat(2, 1, 1, 1)}, ["logits"]), pictures)
+        looks = TwoLooks(network)
+        model = quantised(to_onnx(looks, {"picture": pictures[:1].repeat(2, 1, 1, 1)}, ["logits"]), pictures)
 
         def difference_of(file: Path) -> float:
             session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
             with torch.inference_mode():
-                expected = network(pictures).numpy() > 0
+                expected = looks(pictures).numpy() > 0
             found = np.asarray(session.run(None, {"picture": pictures.numpy()})[0]) > 0
             return float((found != expected).mean())
 
@@ -174,7 +176,20 @@ def quantised(model: onnx.ModelProto, pictures: Tensor) -> onnx.ModelProto:
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
         )
-        return onnx.load(output)
+        return shared(onnx.load(output))
+
+
+def shared(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Let a model, changed in place, hold equal constants once: both looks have the same weights."""
+    constants = model.graph.initializer
+    values = {each.name: (each.data_type, str(each.dims), to_array(each).tobytes()) for each in constants}
+    first = {value: name for name, value in reversed(values.items())}
+    for node in model.graph.node:
+        node.input[:] = [first[values[name]] if name in values else name for name in node.input]
+    kept = [each for each in constants if first[values[each.name]] == each.name]
+    del constants[:]
+    constants.extend(kept)
+    return model
 
 
 def segmentation_loss(logits: Tensor, batch: PictureBatch, edge_weight: float) -> Tensor:

@@ -21,6 +21,7 @@ class InstrumentData(LightningDataModule):
         batch_size: pictures in a batch.
         workers: processes that draw; two cores draw as fast as one trains.
         validation: number of pictures that validate.
+        size: height and width of the pictures that validate [px], at which the exported network runs.
         seed: seed of all random numbers.
     """
 
@@ -31,6 +32,7 @@ class InstrumentData(LightningDataModule):
         batch_size: int = 16,
         workers: int = 1,
         validation: int = 64,
+        size: tuple[int, int] = (224, 384),
         seed: int = 0,
     ) -> None:
         super().__init__()
@@ -49,7 +51,7 @@ class InstrumentData(LightningDataModule):
     def val_dataloader(self) -> DataLoader:
         """Composites of a seed of their own."""
         settings = self.hparams
-        source = InstrumentPictures(self.real_pictures, real_share=0.0)
+        source = InstrumentPictures(self.real_pictures, real_share=0.0, size=settings["size"])
         rng = np.random.default_rng([settings["seed"], 7])
         drawn = zip(*(source.draw(rng) for _ in range(settings["validation"])), strict=True)
         pictures, tool = (torch.from_numpy(np.stack(each)) for each in drawn)

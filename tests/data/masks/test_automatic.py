@@ -159,7 +159,6 @@ def test_real_clip_keeps_what_docs_masks_reports(real_data):
     assert len(false) <= REAL_FALSE
 
 
-@pytest.mark.xfail(strict=True, reason="pale tissue beside the instrument is taken for it: 0.82 is right in one frame")
 @pytest.mark.slow
 def test_in_a_real_pull_an_instrument_is_found_in_every_frame(real_data):
     layout = load_layout(CHECKOUT / "configs" / "layouts" / "recover_tissue.yaml")

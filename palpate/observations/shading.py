@@ -76,9 +76,10 @@ MOVED = 4.0
 MOST_TOGETHER = 30.0
 """Residuals that count as one, at most. Coded pictures repeat their errors, which count as the law's: as noise they
 would leave gloss and albedo to their priors."""
-LAW_ERROR, SCALE_ERROR = (0.25, 0.4), 0.25
-"""Standard deviations of what law, mesh and coding get wrong: of log k_d/k_s and log F/k_s, and common to all three,
-which inertia alone tells. `python -m benchmarks.path_traced` measures it on clips of a path tracer."""
+LAW_ERRORS = np.column_stack([(-0.4, -0.15, 0.0), (0.25, 0.25, 0.25)])
+"""What law, mesh and coding get wrong in φ, a column for each of two independent errors, as standard deviations: how
+deep and slow the dent is, which k_s explains rather than F, and the scale of all three, which inertia alone tells.
+`python -m benchmarks.path_traced` measures them on clips of a path tracer."""
 
 
 class ShadingObservation(Observation):
@@ -87,7 +88,7 @@ class ShadingObservation(Observation):
     Args:
         contact: with its brightness sequence; of its mesh only the outline and the distance count.
         tilt: of the plane whose mesh is simulated, right and down, as tangents; None = the contact's own mesh is
-            simulated, as for other observations of the same motion. Then `law_covariance` is marginalised.
+            simulated, as for other observations of the same motion. Then `law_errors` are marginalised.
     """
 
     def __init__(self, contact: Interaction, tilt: np.ndarray | None = None) -> None:
@@ -190,10 +191,9 @@ class ShadingObservation(Observation):
         return both.reshape(-1, both.shape[-1])
 
     @property
-    def law_covariance(self) -> np.ndarray:
-        """Covariance of φ by what law, mesh and coding get wrong, by the last look, shape [3, 3]."""
-        wrong = max((1 - self.skill) / USUALLY_LEFT, 1.0) * max(self._lag / USUAL_LAG, 1.0)
-        return wrong**2 * (np.diag(np.square([0.0, *LAW_ERROR])) + SCALE_ERROR**2)
+    def law_errors(self) -> np.ndarray:
+        """`LAW_ERRORS` of a law that explains as little as the last look says, shape [3, 2]."""
+        return LAW_ERRORS * max((1 - self.skill) / USUALLY_LEFT, 1.0) * max(self._lag / USUAL_LAG, 1.0)
 
     def compared(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted less observed, 0 where either isn't known, and the inverse variances [N, P]."""
@@ -234,7 +234,7 @@ class ShadingObservation(Observation):
         """1 - error / change of the light where it changes: 0 as if nothing had moved."""
         if self._own_mesh:
             by_press = self._whitened(moved, slopes, logs)[:, 1:4]
-            self._errors = CommonErrors(by_press @ np.linalg.cholesky(self.law_covariance))
+            self._errors = CommonErrors(by_press @ self.law_errors)
 
 
 def without_amplitude(white: np.ndarray, along: np.ndarray) -> np.ndarray:

@@ -216,7 +216,7 @@ def _concluded(problem: JointLikelihood, logs: np.ndarray) -> PressResult:
     known["course"] = dataclasses.replace(known["course"], view_angle=None)
     return PressResult(
         **known,
-        covariance=covariance[:3, :3] + shading.law_covariance,
+        covariance=covariance[:3, :3] + shading.law_errors @ shading.law_errors.T,
         information=about_tissue(best.information, prior),
         noise=float(shading.noise.mean()),
         misfit=float(shading.noise.mean() / max(shading.sequence.noise.mean(), 1e-9)),

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from palpate.physics.load import Grip, Load, Press, held, ramped
 from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from palpate.physics.msd import grid_kernel, reference
+from palpate.physics.msd import grid_layout, reference
 from palpate.physics.msd.simulation import Case, simulate, simulate_sensitivities, watched_rollout
 from tests.physics import sheets
 
@@ -394,7 +394,7 @@ def test_every_row_length_gives_the_same(monkeypatch):
     mesh = sheets.sheet(30, 60)
     arguments = ((0.7, 0.05, -0.1), mesh, sheets.pressed(mesh, 15 * 60 + 30, 20, 60, DIRECTION), Mechanics())
     short = simulate_sensitivities(*arguments)
-    monkeypatch.setattr(grid_kernel, "PITCHES", (144,))
+    monkeypatch.setattr(grid_layout, "PITCHES", (144,))
     for seen, expected in zip(simulate_sensitivities(*arguments), short, strict=True):
         np.testing.assert_array_equal(seen, expected)
 

@@ -13,7 +13,7 @@ from palpate.physics.load import Load, Press
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import NORM_GUARD, Mesh
 from palpate.physics.msd import grid_kernel, reference
-from palpate.physics.msd.cone import Reach, exact_radii, window_radii
+from palpate.physics.msd.cone import DERIVATIVES, Reach, exact_radii, window_radii
 from palpate.physics.msd.grid_layout import GridLayout, grid_layout, places
 
 Watch = np.ndarray | None
@@ -134,8 +134,9 @@ def _on_grid(case: Case, press: Press, sensitive: bool) -> tuple[np.ndarray, np.
                 return None
             found = _within(case, press, layout, used, sensitive)
             difference = np.abs(found[0] - _within(case, press, layout, checked, False)[0]).max()
+            limit = mechanics.window_error * (DERIVATIVES if sensitive else 1.0)
             # Two windows that both end before a watched vertex agree on 0, which tells nothing.
-            if difference < mechanics.window_error * np.abs(found[0]).max():
+            if difference < limit * np.abs(found[0]).max():
                 return found
     layout = _layout(case, reach, whole)
     return None if layout is None else _within(case, press, layout, whole, sensitive)

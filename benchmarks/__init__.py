@@ -10,6 +10,7 @@ online       Table II of Liang 2024: the online estimator on simulated pulls
 palpation    moduli from simulated palpations, as in Frank 2010
 instruments  automatic masks against outlines that people drew
 inference    time of networks and of whole videos
+rollout      time of the rollout, beside JAX's
 alarm        false alarms of a limit of force against missed crossings
 harness      common parts: experiments, their resumption, and tables
 """

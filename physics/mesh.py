@@ -5,6 +5,8 @@ Source: Bini 2026, section 3.2.2 (grid triangulation, edge filter, decimation, e
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -31,6 +33,11 @@ class Mesh:
     """Row and column of every vertex in the grid, shape [N, 2], int32."""
     grid_shape: tuple[int, int]
     """Height and width of the grid [px]."""
+
+    @cached_property
+    def grids(self) -> dict[Any, Any]:
+        """Layouts of the mesh by their type of number, kept for the next rollout (`msd.grid_layout`)."""
+        return {}
 
 
 def grid_mesh(

@@ -25,6 +25,7 @@ MODULES = [
     "benchmarks.path_tracer",
     "benchmarks.real",
     "benchmarks.recovery",
+    "benchmarks.rollout",
     "data.synthetic",
     "palpate.estimators.network.calibration",
 ]

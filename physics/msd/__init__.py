@@ -4,7 +4,7 @@ reference     the equations in plain numpy: read this one
 simulation    for numpy: simulate, simulate_sensitivities; one sample through the kernels
 rollouts      for torch: rollout, rollout_sensitivities; batch: observations
 likelihoods   the paper's squared error of a batch
-grid_kernel   the compiled loops, on a pixel grid; cone: which part of the mesh matters
+grid_kernel   the compiled loops, on a pixel grid; grid_layout: the mesh on it; cone: which part of it matters
 autograd      torch's view of the compiled rollout
 """
 

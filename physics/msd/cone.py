@@ -17,6 +17,8 @@ GRID_EIGENVALUE = 9.0
 """Upper bound on the eigenvalues of the graph Laplacian of springs right, down and along one diagonal."""
 INSIDE = 1e-3
 """Factor by which the window used may neglect less than the smaller one it is checked with."""
+DERIVATIVES = math.sqrt(INSIDE)
+"""Factor by which trajectories must agree better where derivatives by θ are wanted: near chaos these lose more."""
 
 
 class Reach(NamedTuple):

@@ -13,8 +13,8 @@ from palpate.physics.load import Load, Press
 from palpate.physics.mechanics import Mechanics
 from palpate.physics.mesh import NORM_GUARD, Mesh
 from palpate.physics.msd import grid_kernel, reference
-from palpate.physics.msd.cone import Reach, exact_radii, window_radii
-from palpate.physics.msd.grid_kernel import GridLayout
+from palpate.physics.msd.cone import DERIVATIVES, Reach, exact_radii, window_radii
+from palpate.physics.msd.grid_layout import GridLayout, grid_layout, places
 
 Watch = np.ndarray | None
 """Vertices whose displacement is wanted, or the load's first one."""
@@ -134,8 +134,9 @@ def _on_grid(case: Case, press: Press, sensitive: bool) -> tuple[np.ndarray, np.
                 return None
             found = _within(case, press, layout, used, sensitive)
             difference = np.abs(found[0] - _within(case, press, layout, checked, False)[0]).max()
+            limit = mechanics.window_error * (DERIVATIVES if sensitive else 1.0)
             # Two windows that both end before a watched vertex agree on 0, which tells nothing.
-            if difference < mechanics.window_error * np.abs(found[0]).max():
+            if difference < limit * np.abs(found[0]).max():
                 return found
     layout = _layout(case, reach, whole)
     return None if layout is None else _within(case, press, layout, whole, sensitive)
@@ -149,9 +150,7 @@ def _farthest(case: Case, vertices: np.ndarray) -> int:
 
 def _layout(case: Case, reach: Reach, radii: np.ndarray) -> GridLayout | None:
     """Window within reach; None where the mesh is no grid."""
-    far = max(int(radii.max()) + 1, *reach)
-    mobile = reference.free_vertices(case.mesh, case.load)
-    return grid_kernel.grid_layout(case.mesh, case.load.vertex, mobile, far, case.theta.dtype)
+    return grid_layout(case.mesh, case.load.vertices, max(int(radii.max()), *reach), case.theta.dtype)
 
 
 def _within(
@@ -161,7 +160,7 @@ def _within(
     dtype, (steps, watched) = case.theta.dtype, (press.steps, len(case.watch))
     path, slopes = np.zeros((steps, watched, 3), dtype), np.zeros((steps if sensitive else 0, watched, 3, 3), dtype)
     planes = grid_kernel.SENSITIVITY_PLANES if sensitive else grid_kernel.FORWARD_PLANES
-    pressed, shown = (grid_kernel.places(layout, case.mesh, each, planes) for each in (press.vertices, case.watch))
+    pressed, shown = (places(layout, case.mesh, each, planes) for each in (press.vertices, case.watch))
     load = press.factor.astype(dtype), pressed, reference.push_of(press, dtype)
     rollout = grid_kernel.specialised(layout.pitch, sensitive)
     rollout(layout, radii, load, shown, case.theta[2], _numbers(case, press), path, slopes)

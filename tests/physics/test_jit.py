@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.physics.msd.grid_kernel import MOBILE
+from palpate.physics.msd.grid_layout import MOBILE
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -23,7 +23,7 @@ def test_numba_is_installed_with_the_program():
 
 SMALL = """
     from palpate.physics.jit import kernel
-    from palpate.physics.msd.grid_kernel import MOBILE
+    from palpate.physics.msd.grid_layout import MOBILE
 
 
     @kernel
@@ -86,7 +86,7 @@ def test_code_does_not_outlive_a_constant_of_another_file(copied):
     assert MOBILE == 9
     [(folder, before)] = shown(start(copied))
     assert before == expected("float32")
-    layout = copied / "physics" / "msd" / "grid_kernel.py"
+    layout = copied / "physics" / "msd" / "grid_layout.py"
     text = layout.read_text()
     moved = text.replace(
         "LENGTH, LINK, MOBILE, REST_PLANES = 0, 3, 6, 9, 10", "MOBILE, LENGTH, LINK, REST_PLANES = 0, 3, 4, 7, 11"

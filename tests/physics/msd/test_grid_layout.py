@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.physics.mesh import grid_mesh
-from palpate.physics.msd.grid_kernel import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout
+from palpate.physics.msd.grid_layout import LENGTH, LINK, MOBILE, PITCHES, REST_PLANES, grid_layout
 from tests.physics.sheets import hand_mesh, sheet
 
 FLOAT = np.dtype(np.float64)
@@ -19,7 +19,7 @@ def planes(layout) -> np.ndarray:
 def test_positions_lengths_links_and_free_vertices_are_where_they_belong():
     mesh = sheet(4, 5)
     free = ~mesh.rim
-    layout = grid_layout(mesh, 7, free, 9, FLOAT)
+    layout = grid_layout(mesh, np.array([7]), 9, FLOAT)
     assert (planes(layout).shape[0], layout.centre, layout.corner) == (4 + 2, (2, 3), (-1, -1))
     row, column = mesh.pixels.T + 1
     rest = planes(layout)
@@ -39,10 +39,12 @@ def test_positions_lengths_links_and_free_vertices_are_where_they_belong():
 def test_only_what_is_within_reach_is_laid_out():
     mesh = sheet(20, 30)
     vertex = 10 * 30 + 15
-    layout = grid_layout(mesh, vertex, np.ones(600, dtype=bool), 3, FLOAT)
+    layout = grid_layout(mesh, np.array([vertex]), 3, FLOAT)
     assert planes(layout).shape[0] == 7 + 2
-    assert planes(layout)[:, MOBILE].sum() == 49
-    assert planes(layout)[:, LINK].sum() == 7 * 6
+    assert (planes(layout)[:, MOBILE] == 1).sum() == 9 * 9
+    assert (planes(layout)[:, LENGTH] > 0).sum() == 9 * 9
+    np.testing.assert_array_equal(layout.first[1:8], [1] * 7)
+    np.testing.assert_array_equal(layout.last[1:8], [7] * 7)
     row, column = layout.centre
     np.testing.assert_array_equal(planes(layout)[row, :3, column], mesh.vertices[vertex].astype(np.float64))
 
@@ -50,8 +52,21 @@ def test_only_what_is_within_reach_is_laid_out():
 def test_springs_may_be_stored_from_either_end():
     mesh = sheet(3, 3)
     turned = replace(mesh, springs=mesh.springs[:, ::-1])
-    first, second = (grid_layout(each, 4, ~mesh.rim, 5, FLOAT) for each in (mesh, turned))
+    first, second = (grid_layout(each, np.array([4]), 5, FLOAT) for each in (mesh, turned))
     np.testing.assert_array_equal(first.rest, second.rest)
+
+
+def test_a_window_of_the_kept_grid_is_that_of_a_fresh_one():
+    """Loads far apart share a mesh: neither moves what the other holds."""
+    mesh, float32 = sheet(20, 30), np.dtype(np.float32)
+    for pressed, reach, dtype in (([0, 1], 9, FLOAT), ([315], 4, FLOAT), ([315], 4, float32), ([599, 569], 3, FLOAT)):
+        kept, fresh = (grid_layout(each, np.array(pressed), reach, dtype) for each in (mesh, replace(mesh)))
+        for values, others in zip(kept, fresh, strict=True):
+            np.testing.assert_array_equal(values, others)
+        row, column = (mesh.pixels[pressed] - kept.corner).T
+        assert (planes(kept)[row, MOBILE, column] == 1).all()
+        assert planes(kept).dtype == dtype
+    assert set(mesh.grids) == {FLOAT, float32}
 
 
 @pytest.mark.parametrize(
@@ -65,7 +80,7 @@ def test_springs_may_be_stored_from_either_end():
     ids=["two apart", "three apart", "the other diagonal", "two vertices on a pixel"],
 )
 def test_other_meshes_are_no_grid(mesh):
-    assert grid_layout(mesh, 0, np.ones(len(mesh.vertices), bool), 5, FLOAT) is None
+    assert grid_layout(mesh, np.array([0]), 5, FLOAT) is None
 
 
 def test_a_window_too_wide_for_the_compiled_code_is_left_to_the_plain_version():
@@ -73,6 +88,6 @@ def test_a_window_too_wide_for_the_compiled_code_is_left_to_the_plain_version():
     column = np.arange(width)
     points = np.stack([np.stack([column * 0.01, row + 0 * column, 0 * column + 0.5], -1) for row in (0.0, 0.01)])
     mesh = grid_mesh(points, np.ones((2, width), dtype=bool))
-    free = np.ones(2 * width, dtype=bool)
-    assert grid_layout(mesh, width // 2, free, width, FLOAT) is None
-    assert grid_layout(mesh, width // 2, free, 10, FLOAT).pitch == PITCHES[0]
+    middle = np.array([width // 2])
+    assert grid_layout(mesh, middle, width, FLOAT) is None
+    assert grid_layout(mesh, middle, 10, FLOAT).pitch == PITCHES[0]

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.integrate import solve_ivp
@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from palpate.physics.load import Grip, Load, Press, held, ramped
 from palpate.physics.mechanics import RECOMMENDED, Bounds, Mechanics
 from palpate.physics.mesh import Mesh, contact_normal, grid_mesh, nearest_vertex
-from palpate.physics.msd import grid_kernel, reference
+from palpate.physics.msd import grid_layout, reference
 from palpate.physics.msd.simulation import Case, simulate, simulate_sensitivities, watched_rollout
 from tests.physics import sheets
 
@@ -394,7 +394,7 @@ def test_every_row_length_gives_the_same(monkeypatch):
     mesh = sheets.sheet(30, 60)
     arguments = ((0.7, 0.05, -0.1), mesh, sheets.pressed(mesh, 15 * 60 + 30, 20, 60, DIRECTION), Mechanics())
     short = simulate_sensitivities(*arguments)
-    monkeypatch.setattr(grid_kernel, "PITCHES", (144,))
+    monkeypatch.setattr(grid_layout, "PITCHES", (144,))
     for seen, expected in zip(simulate_sensitivities(*arguments), short, strict=True):
         np.testing.assert_array_equal(seen, expected)
 
@@ -407,7 +407,8 @@ box = box_of(Bounds())
 
 
 @settings(max_examples=20, deadline=None)
-@given(theta=box.filter(lambda theta: theta[1] > 0.003), scheme=st.sampled_from(["euler", "dkd"]))
+@given(theta=box, scheme=st.sampled_from(["euler", "dkd"]))
+@example(theta=(0.83, 0.0, -0.78), scheme="dkd")
 def test_window_error_is_kept(theta, scheme):
     mesh = sheets.sheet(64, 64)
     load = sheets.pressed(mesh, 32 * 64 + 32, 50, 200, DIRECTION)
@@ -416,7 +417,7 @@ def test_window_error_is_kept(theta, scheme):
     seen, jacobian = simulate_sensitivities(theta, mesh, load, window, dtype=np.float64)
     assert np.abs(seen - expected).max() <= 1e-4 * np.abs(expected).max()
     scale = np.abs(expected_jacobian).max(axis=(0, 1))
-    assert (np.abs(jacobian - expected_jacobian).max(axis=(0, 1)) <= 1e-2 * scale).all()
+    assert (np.abs(jacobian - expected_jacobian).max(axis=(0, 1)) <= 1e-4 * scale).all()
 
 
 WIDE = sheets.sheet(64, 64)
@@ -444,7 +445,7 @@ def test_window_error_is_kept_for_wide_loads_and_many_watched_vertices(theta, sc
     scale = np.abs(expected_slopes).max(axis=(0, 1, 2))
     # Far from the load on creeping tissue derivatives are as small as the rounding of the largest displacement.
     rounding = np.finfo(np.float64).eps * np.abs(expected).max() / np.abs(theta)
-    assert (np.abs(slopes - expected_slopes).max(axis=(0, 1, 2)) <= 1e-2 * scale + rounding).all()
+    assert (np.abs(slopes - expected_slopes).max(axis=(0, 1, 2)) <= 1e-4 * scale + rounding).all()
 
 
 @pytest.mark.parametrize(
@@ -461,6 +462,25 @@ def test_a_window_that_fails_its_check_is_not_used(size, theta, steps, beside):
     assert np.abs(expected).max() > 0
     seen = simulate(theta, mesh, load, Mechanics(window_error=1e-4), watch=watch, dtype=np.float64)
     assert np.abs(seen - expected).max() <= 1e-4 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    ("theta", "mechanics"),
+    [
+        ((3.53019939, 2.1473037e-3, -9.51977048), Mechanics(window_error=1e-2)),
+        ((3.03947714, 0.0, -7.51413361), Mechanics(window_error=1e-6, scheme="dkd")),
+    ],
+)
+def test_a_window_good_for_the_path_alone_is_not_used_for_derivatives(theta, mechanics):
+    """Nearly chaotic motion: the window's path is within the threshold, its derivatives would be some times beyond."""
+    mesh, exact = sheets.sheet(130, 130), dataclasses.replace(mechanics, window_error=0.0)
+    load = sheets.pressed(mesh, 65 * 131, 50, 200, DIRECTION)
+    expected, expected_slopes = simulate_sensitivities(theta, mesh, load, exact, dtype=np.float64)
+    seen = simulate(theta, mesh, load, mechanics, dtype=np.float64)
+    assert 0 < np.abs(seen - expected).max() <= mechanics.window_error * np.abs(expected).max()
+    path, slopes = simulate_sensitivities(theta, mesh, load, mechanics, dtype=np.float64)
+    np.testing.assert_array_equal(path, expected)
+    np.testing.assert_array_equal(slopes, expected_slopes)
 
 
 @settings(max_examples=40, deadline=None)

@@ -72,6 +72,8 @@ class DepthSequence:
     noise: SequenceNoise
     size: tuple[int, int]
     """Width and height of the picture that was brought to the grid [px]."""
+    around: np.ndarray | None = None
+    """`change` and A more pixels on every side, shape [N, S + 2·A, S + 2·A]; None = no more."""
 
     def is_finer_than(self, grid_shape: tuple[int, int]) -> bool:
         """Return whether a pixel of a grid [h, w] is the mean of several of the picture."""
@@ -79,7 +81,17 @@ class DepthSequence:
 
     def chosen(self, frames: np.ndarray) -> DepthSequence:
         """Subset of its frames: a mask [N] or indices."""
-        return dataclasses.replace(self, times=self.times[frames], change=self.change[frames])
+        around = None if self.around is None else self.around[frames]
+        return dataclasses.replace(self, times=self.times[frames], change=self.change[frames], around=around)
+
+    def elsewhere(self, row: int, column: int) -> DepthSequence:
+        """Sequence of a contact so many rows and columns away; NaN beyond what is known."""
+        around = self.change if self.around is None else self.around
+        side, most = self.change.shape[1], max(abs(row), abs(column))
+        wide = np.pad(around, ((0, 0), (most, most), (most, most)), constant_values=np.nan)
+        wide = wide[:, most + row :, most + column :][:, : around.shape[1], : around.shape[2]]
+        inner = slice((around.shape[1] - side) // 2, (around.shape[1] + side) // 2)
+        return dataclasses.replace(self, change=wide[:, inner, inner], around=wide)
 
 
 class DepthLikelihood:

@@ -17,6 +17,9 @@ from palpate.physics.depth import DepthSequence, SequenceNoise
 from palpate.physics.mesh import Mesh
 from palpate.physics.patches import REACH
 
+KEPT = REACH + 6
+"""How far around a contact the change is kept: a tool hides where it presses, which may be so far from the contact that
+is found that the dent's middle lies beyond REACH [grid pixels]."""
 FAR = 25
 """Least distance from the contact at which the depth's noise and the camera's motion are measured [grid pixels]."""
 MIN_FAR = 200
@@ -40,7 +43,7 @@ class SequenceRecorder:
         self._rest = np.full(mesh.grid_shape, np.nan)
         self._rest[tuple(mesh.pixels.T)] = mesh.vertices[:, 2]
         centre = mesh.pixels[vertex]
-        self._window = np.pad(self._rest, REACH, constant_values=np.nan)[window_around(centre + REACH)]
+        self._window = np.pad(self._rest, KEPT, constant_values=np.nan)[window_around(centre + KEPT)]
         self._centre = centre
         apart = np.abs(mesh.pixels - centre).max(axis=1)
         far = mesh.pixels[apart >= FAR]
@@ -61,7 +64,7 @@ class SequenceRecorder:
         return found
 
     def frame(self, frame: Any) -> np.ndarray | None:
-        """Change of the depth in a frame, shape [S, S] as in `DepthSequence`; None where the camera's motion isn't
+        """Change of the depth in a frame, shape [2·KEPT + 1, 2·KEPT + 1]; None where the camera's motion isn't
         known, or a stored frame comes without its depth.
         """
         depth = frame.depth
@@ -80,9 +83,9 @@ class SequenceRecorder:
             left = relative - motion @ self._columns
             known = known & (np.abs(left) <= OUTLIER * np.sqrt(np.mean(np.square(left), where=known)) + 1e-12)
         self._measure(np.where(valid, left * self._far_rest, np.nan))
-        rows, columns = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1] / FAR
+        rows, columns = np.mgrid[-KEPT : KEPT + 1, -KEPT : KEPT + 1] / FAR
         moved = motion[0] + motion[1] * rows + motion[2] * columns
-        window = np.pad(visible, REACH, constant_values=np.nan)[window_around(self._centre + REACH)]
+        window = np.pad(visible, KEPT, constant_values=np.nan)[window_around(self._centre + KEPT)]
         return (window - self._window * (1 + moved)).astype(np.float32)
 
     def _measure(self, left: np.ndarray) -> None:
@@ -118,15 +121,17 @@ class SequenceRecorder:
 
     def record(self, times: np.ndarray, changes: list[np.ndarray], known: int) -> DepthSequence:
         """Sequence of some frames, its noise as measured in the first frame and `known` ones after it."""
-        size = 2 * REACH + 1
-        stacked = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
-        return DepthSequence(np.asarray(times, np.float64), stacked, self.noise(known), self._size)
+        size = 2 * KEPT + 1
+        around = np.stack(changes) if changes else np.empty((0, size, size), np.float32)
+        inner = slice(KEPT - REACH, KEPT + REACH + 1)
+        noise = self.noise(known)
+        return DepthSequence(np.asarray(times, np.float64), around[:, inner, inner], noise, self._size, around)
 
 
 def window_around(centre: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns within REACH of a pixel (row, column)."""
+    """Rows and columns within KEPT of a pixel (row, column)."""
     row, column = (int(value) for value in centre)
-    return np.s_[row - REACH : row + REACH + 1, column - REACH : column + REACH + 1]
+    return np.s_[row - KEPT : row + KEPT + 1, column - KEPT : column + KEPT + 1]
 
 
 def _correlated(products: np.ndarray, pairs: int) -> float:

@@ -27,7 +27,6 @@ from palpate.estimators.direct.sampling import Draws, Mixture, sample_posterior
 from palpate.estimators.estimate import PressCourse, PressResult
 from palpate.estimators.oblique import effective_misfit, hides_bottom, is_oblique, view_angle
 from palpate.observations.base import JointLikelihood
-from palpate.physics.depth import REACH
 from palpate.physics.identifiability import bounds, box_information
 from palpate.physics.load import PressShape
 from palpate.physics.mechanics import Mechanics
@@ -88,10 +87,16 @@ def field_optima(problem: JointLikelihood, tissue: np.ndarray) -> list[Optimum]:
     return optima
 
 
+def refutes(misfit: float, problem: JointLikelihood) -> bool:
+    """Return whether a misfit refutes a fit: above 1.1, and its square 5 standard deviations above 1 (patches in
+    validation gave 23)."""
+    return misfit > 1.1 and (misfit**2 - 1) * math.sqrt(problem.first.counted / 2) > 5.0
+
+
 def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
     """Return the posterior around the optima of a sequence's fit, with its verdict; `tissue` as in `field_optima`.
 
-    Where the contact may hide its own bottom, the covariance of a large noise is added.
+    Where the contact may hide its own bottom, or the model is refuted, the covariance of a large noise is added.
     """
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -114,15 +119,19 @@ def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray)
         misfit=misfit,
         largest_misfit=1.5,
     )
-    if not is_oblique(found):
+    if is_oblique(found):
+        contact, course = problem.first.contact, found.course
+        assert course.view_angle is not None
+        dent = contact.mesh.vertices[problem.first.vertices], problem.motion.at(best.logs)[0]
+        if not hides_bottom(*dent, np.asarray(contact.direction, np.float64), course.view_angle):
+            found = dataclasses.replace(found, course=dataclasses.replace(course, view_angle=None))
+    wrong = effective_misfit(found) ** 2
+    if refutes(misfit, problem):
+        # What a wrong model leaves in a frame, beyond the noise, is one error however many pixels show it.
+        wrong += (misfit**2 - 1) * problem.first.counted / len(problem.first.times)
+    if wrong <= scale:
         return found
-    contact, course = problem.first.contact, found.course
-    assert course.view_angle is not None
-    dent = contact.mesh.vertices[problem.first.vertices], problem.motion.at(best.logs)[0]
-    if not hides_bottom(*dent, np.asarray(contact.direction, np.float64), course.view_angle):
-        return dataclasses.replace(found, course=dataclasses.replace(course, view_angle=None))
-    hidden = about_tissue(information / effective_misfit(found) ** 2, prior)
-    return found.widened(np.linalg.inv(hidden + prior[:3, :3]))
+    return found.widened(np.linalg.inv(about_tissue(information / wrong, prior) + prior[:3, :3]))
 
 
 def fit_press(
@@ -142,9 +151,8 @@ def fit_press(
     plain = field_optima(step, tissue)
     # Whether a step is refuted shows before its posterior is sampled, which takes as long as all the rest.
     best = combine(plain, box_information(step.motion.box(tissue)))[2]
-    misfit, counted = step.misfit(best.logs), step.first.counted
-    # Refuted is a misfit above 1.1 whose square lies 5 standard deviations above 1; patches in validation gave 23.
-    if misfit < 1.1 or (misfit**2 - 1) * math.sqrt(counted / 2) < 5.0:
+    misfit = step.misfit(best.logs)
+    if not refutes(misfit, step):
         return sampled(step, plain, tissue)
     elsewhere, aside = recentred(step, best.logs)
     if tries and any(aside):
@@ -157,32 +165,34 @@ def fit_press(
     patch = dent_problem(contact, mechanics, within, noise, PatchMotion)
     shaped = sampled(patch, field_optima(patch, tissue), tissue)
     further = patch.motion.box(tissue).shape[1] - step.motion.box(tissue).shape[1]
+    counted = step.first.counted
     explained = counted * (misfit**2 - shaped.misfit**2)
     return shaped if explained > further * math.log(counted) else sampled(step, plain, tissue)
 
 
 def recentred(problem: JointLikelihood, logs: np.ndarray) -> tuple[Interaction, tuple[int, int]]:
-    """Move a contact to where its fitted dent lies on the observed one best: an instrument hides where it presses.
+    """Move a contact to where its fitted dent explains most of what is observed: an instrument hides where it presses.
 
     Returns:
         The contact there, and by how many rows and columns it was moved.
     """
-    contact, sequence, side = problem.first.contact, problem.first.contact.observations["depth"], 2 * REACH + 1
-    aside = 2  # farthest vertex along an axis [grid pixels]
-    simulated = problem.first.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(-1, side, side)
-    wide = np.pad(sequence.change, ((0, 0), (aside, aside), (aside, aside)), constant_values=np.nan)
-    pixels, found = contact.mesh.pixels, []
-    for row, column in itertools.product(range(-aside, aside + 1), repeat=2):
-        vertex = np.flatnonzero((pixels == pixels[contact.vertex] + (row, column)).all(axis=1))
-        change = wide[:, aside + row : aside + row + side, aside + column : aside + column + side]
+    contact, sequence = problem.first.contact, problem.first.contact.observations["depth"]
+    simulated = problem.first.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(sequence.change.shape)
+    around = sequence.change if sequence.around is None else sequence.around
+    most = max((around.shape[1] - simulated.shape[1]) // 2, 2)
+    places = {tuple(pixel): vertex for vertex, pixel in enumerate(contact.mesh.pixels.tolist())}
+    own, found = contact.mesh.pixels[contact.vertex], []
+    for row, column in itertools.product(range(-most, most + 1), repeat=2):
+        vertex = places.get((own[0] + row, own[1] + column))
+        change = sequence.elsewhere(row, column).change
         inner = np.isfinite(change - simulated)
         dent, shown = simulated[inner], change[inner].astype(np.float64)
-        if len(vertex) and len(dent):
-            left = shown - (dent @ shown) / max(dent @ dent, 1e-30) * dent
-            found.append((float(np.square(left).mean()), abs(row) + abs(column), row, column, vertex, change))
-    *_, row, column, vertex, change = min(found, key=lambda item: item[:2])
-    load, shifted = dataclasses.replace(contact.load, vertices=vertex), dataclasses.replace(sequence, change=change)
-    return dataclasses.replace(contact.having(depth=shifted), load=load), (row, column)
+        if vertex is not None and len(dent):
+            explained = max(float(dent @ shown), 0.0) ** 2 / max(float(dent @ dent), 1e-30)
+            found.append((-explained, abs(row) + abs(column), row, column, vertex))
+    *_, row, column, vertex = min(found)
+    load = dataclasses.replace(contact.load, vertices=np.array([vertex]))
+    return dataclasses.replace(contact.having(depth=sequence.elsewhere(row, column)), load=load), (row, column)
 
 
 def field_starts(problem: JointLikelihood, box: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from palpate.physics.mesh import Mesh, grid_mesh
 WIDTH, HEIGHT = 120, 96
 CENTRE = np.array([45, 57])
 """Row and column of the contact."""
-SIDE = 2 * depth_sequence.REACH + 1
+SIDE = 2 * depth_sequence.KEPT + 1
 CAMERA = Camera.from_field_of_view(60, WIDTH, HEIGHT)
 SIGMA = 1e-3
 STEP = 1 / 255
@@ -75,7 +75,7 @@ def test_scale_and_tilt_of_the_whole_depth_are_taken_off(motion: tuple[float, fl
     change = recorder().frame(seen(REST * (1 + moved) + DENT))
     assert (change.dtype, change.shape) == (np.float32, (SIDE, SIDE))
     np.testing.assert_allclose(change, SEEN, atol=3e-7 if any(motion) else 2e-7)
-    assert SEEN[depth_sequence.REACH, depth_sequence.REACH] == pytest.approx(0.03)
+    assert SEEN[depth_sequence.KEPT, depth_sequence.KEPT] == pytest.approx(0.03)
 
 
 def test_what_is_hidden_is_not_a_number() -> None:
@@ -84,8 +84,8 @@ def test_what_is_hidden_is_not_a_number() -> None:
     labels[row, column : column + 40] = TOOL
     depth[row - 3, column - 2] = 0
     hidden = np.zeros((SIDE, SIDE), bool)
-    hidden[depth_sequence.REACH, depth_sequence.REACH :] = True
-    hidden[depth_sequence.REACH - 3, depth_sequence.REACH - 2] = True
+    hidden[depth_sequence.KEPT, depth_sequence.KEPT :] = True
+    hidden[depth_sequence.KEPT - 3, depth_sequence.KEPT - 2] = True
     change = recorder().frame(seen(depth, labels))
     np.testing.assert_array_equal(np.isnan(change), hidden)
     np.testing.assert_allclose(change[~hidden], SEEN[~hidden], atol=2e-7)
@@ -97,7 +97,7 @@ def test_outside_the_picture_and_the_mesh_is_not_a_number(corner: tuple[int, int
     mesh = mesh_of(valid=valid)
     vertex = int(np.flatnonzero((mesh.pixels == corner).all(axis=1))[0])
     change = depth_sequence.SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT)).frame(seen(REST))
-    there = np.pad(valid, depth_sequence.REACH)[depth_sequence.window_around(np.array(corner) + depth_sequence.REACH)]
+    there = np.pad(valid, depth_sequence.KEPT)[depth_sequence.window_around(np.array(corner) + depth_sequence.KEPT)]
     np.testing.assert_array_equal(np.isfinite(change), there)
     np.testing.assert_allclose(change[there], 0, atol=1e-7)
     assert not there.all()
@@ -169,13 +169,33 @@ def test_a_sequence_holds_frames_times_and_size() -> None:
     made = recorder()
     changes = [made.frame(seen(REST + amount * DENT)) for amount in (0.5, 1.0, 0.25)]
     sequence = made.record(np.array([0.04, 0.08, 0.12]), changes, 2)
-    np.testing.assert_array_equal(sequence.change, np.stack(changes))
+    inner = slice(depth_sequence.KEPT - depth_sequence.REACH, depth_sequence.KEPT + depth_sequence.REACH + 1)
+    np.testing.assert_array_equal(sequence.around, np.stack(changes))
+    np.testing.assert_array_equal(sequence.change, np.stack(changes)[:, inner, inner])
     assert sequence.times.tolist() == [0.04, 0.08, 0.12]
     assert (sequence.size, sequence.noise) == ((WIDTH, HEIGHT), made.noise(99))
     for chosen in (np.array([True, False, True]), np.array([0, 2])):
         part = sequence.chosen(chosen)
         assert part.times.tolist() == [0.04, 0.12]
-        np.testing.assert_array_equal(part.change, np.stack([changes[0], changes[2]]))
+        np.testing.assert_array_equal(part.around, np.stack([changes[0], changes[2]]))
+        np.testing.assert_array_equal(part.change, part.around[:, inner, inner])
         assert dataclasses.replace(part, times=sequence.times, change=sequence.change).noise == sequence.noise
     empty = made.record(np.array([]), [], 0)
-    assert (empty.times.shape, empty.change.shape) == ((0,), (0, SIDE, SIDE))
+    assert (empty.times.shape, empty.around.shape) == ((0,), (0, SIDE, SIDE))
+
+
+@pytest.mark.parametrize("aside", [(0, 0), (2, -5), (-7, 6)])
+def test_a_sequence_elsewhere_is_that_of_a_contact_there(aside: tuple[int, int]) -> None:
+    found = []
+    for row, column in ((0, 0), aside):
+        mesh = mesh_of()
+        vertex = int(np.flatnonzero((mesh.pixels == np.add(CENTRE, (row, column))).all(axis=1))[0])
+        made = depth_sequence.SequenceRecorder(mesh, vertex, SIGMA, (WIDTH, HEIGHT))
+        found.append(made.record(np.array([0.04]), [made.frame(seen(REST + DENT))], 1))
+    moved = found[0].elsewhere(*aside)
+    known = np.isfinite(moved.change)
+    np.testing.assert_allclose(moved.change[known], found[1].change[known], atol=4e-7)
+    beyond = [max(abs(way) - (depth_sequence.KEPT - depth_sequence.REACH), 0) for way in aside]
+    assert known.sum() == np.prod([moved.change.shape[1] - lost for lost in beyond])
+    back = moved.elsewhere(*np.negative(aside)).change
+    np.testing.assert_array_equal(back, np.where(np.isfinite(back), found[0].change, np.nan))

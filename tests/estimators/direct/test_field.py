@@ -386,3 +386,15 @@ def test_a_contact_is_moved_to_where_its_dent_lies() -> None:
     np.testing.assert_array_equal(MESH.pixels[found.vertex] - MESH.pixels[contact.vertex], aside)
     inner = np.s_[:, :-1, 2:]
     np.testing.assert_array_equal(found.sequence.change[inner], contact.sequence.change[inner])
+
+
+def test_a_dent_far_from_its_contact_is_found_in_what_is_kept_around() -> None:
+    contact, change = contact_of(), contact_of().sequence.change
+    around = np.roll(np.pad(change, ((0, 0), (6, 6), (6, 6))), (5, -4), (1, 2))
+    astray = dataclasses.replace(contact.sequence, change=around[:, 6:-6, 6:-6], around=around)
+    problem = dent_problem(contact.having(depth=astray), MECHANICS)
+    problem.look(logs_of())
+    found, aside = recentred(problem, logs_of())
+    assert aside == (5, -4)
+    np.testing.assert_array_equal(MESH.pixels[found.vertex] - MESH.pixels[contact.vertex], aside)
+    np.testing.assert_array_equal(found.sequence.change, change)

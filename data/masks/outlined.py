@@ -6,6 +6,7 @@ or farther, by a similarity fitted to its tracks (pyramidal Lucas and Kanade). A
 edge is straight and goes on beyond it, so that more of it shows as it comes in.
 """
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -33,7 +34,7 @@ class OutlinedMasks:
 
     def __init__(self, path: Path) -> None:
         self._outlines = read_outlines(path)
-        self.identity = f"outlines:1:{file_sha256(path)}"  # version of the method, which rises when the result changes
+        self.identity = f"outlines:2:{file_sha256(path)}"  # version of the method, which rises when the result changes
         self._name = path.name
         self.reset()
 
@@ -122,12 +123,14 @@ def _beyond_edge(outline: np.ndarray, edge: np.ndarray) -> np.ndarray:
     columns, rows = np.clip(np.rint(outline).astype(int), 0, np.array(edge.shape[::-1]) - 1).T
     # Corners of an outline that are so near to the picture's edge lie on it, as a share of its longer side.
     at_edge = edge[rows, columns] < 0.012
-    sides = [
-        outline[here] - outline[there]
-        for here in np.flatnonzero(at_edge)
-        for there in ((here - 1) % len(outline), (here + 1) % len(outline))
-        if not at_edge[there]
-    ]
+    # Sides of an outline that was cut are jagged; one is taken over so much of the picture's longer side at least.
+    least, sides = 0.05 * max(edge.shape), []
+    for here, step in itertools.product(np.flatnonzero(at_edge), (1, -1)):
+        around = (here + step * np.arange(1, len(outline))) % len(outline)
+        inner = around[: np.argmax(np.append(at_edge[around], True))]
+        if len(inner):
+            far = np.linalg.norm(outline[inner] - outline[here], axis=1) >= least
+            sides.append(outline[here] - outline[inner[np.argmax(far) if far.any() else -1]])
     if not sides:
         return outline
     way = np.sum([side / max(np.linalg.norm(side), 1e-9) for side in sides], axis=0)

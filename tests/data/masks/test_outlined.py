@@ -84,6 +84,18 @@ def test_a_shaft_is_followed_as_it_comes_in_and_turns(tmp_path):
     assert overlap(masks(frame(0, image)), mask) > 0.95
 
 
+def test_jagged_sides_of_a_cut_leave_a_shaft_straight(tmp_path):
+    """The outline is one that the page cut out of the first picture."""
+    upper = [(111, 136), (106, 133), (82, 130), (80, 128), (71, 128), (68, 125), (42, 125), (37, 122), (27, 122),
+             (25, 120), (20, 119), (18, 117), (5, 116)]  # fmt: skip
+    lower = [(0, 119), (0, 148), (14, 149), (16, 151), (26, 151), (30, 154), (46, 154), (50, 157), (57, 159),
+             (83, 160), (91, 165), (95, 165), (107, 163), (110, 159)]  # fmt: skip
+    masks = OutlinedMasks(outlines(tmp_path, {0: [np.array(lower + upper)]}))
+    for step in range(12):
+        image, mask = picture(((110 + 6 * step, 150 + 2 * step), 0.15 + 0.01 * step))
+        assert overlap(masks(frame(step, image)), mask) > 0.85
+
+
 def test_two_shafts_of_which_one_leaves_the_picture(tmp_path):
     masks = OutlinedMasks(outlines(tmp_path, {0: [visible((200, 100), 0.1), visible((150, 250), -0.1)]}))
     for number in range(26):

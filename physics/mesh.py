@@ -36,8 +36,11 @@ class Mesh:
 
     @cached_property
     def grids(self) -> dict[Any, Any]:
-        """Layouts of the mesh by their type of number, kept for the next rollout (`msd.grid_layout`)."""
+        """Layouts of the mesh by their type of number, kept for the next rollout (`msd.grid_layout`); not pickled."""
         return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "grids"}
 
 
 def grid_mesh(

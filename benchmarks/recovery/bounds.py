@@ -8,7 +8,6 @@ vertex, its patch, direction, rise and fall are unknown as well (`estimators.dir
 import dataclasses
 
 import numpy as np
-from scipy.ndimage import shift
 
 from palpate.data.contact.interaction import Interaction
 from palpate.data.synthetic.scene import Scene
@@ -37,8 +36,7 @@ def field_information(contact: Interaction, scene: Scene, motion: PressedMotion)
     truth, logs, within = _truth(contact, scene, motion)
     offset = scene.mesh.pixels[scene.vertex] - contact.mesh.pixels[contact.vertex]
     # Depth change about the true vertex, as far as the sequence shows it.
-    change = shift(sequence.change, (0, *-offset), order=0, cval=np.nan, prefilter=False)
-    recentred = truth.having(depth=dataclasses.replace(sequence, change=change))
+    recentred = truth.having(depth=sequence.elsewhere(*offset.tolist()))
     kind = PressMotion if motion.shape == PressShape() else PatchMotion
     problem = dent_problem(recentred, FITTED, within, kind=kind)
     press = problem.motion

@@ -17,9 +17,11 @@ from palpate.physics.depth import DepthSequence, SequenceNoise
 from palpate.physics.mesh import Mesh
 from palpate.physics.patches import REACH
 
-KEPT = REACH + 6
-"""How far around a contact the change is kept: a tool hides where it presses, which may be so far from the contact that
-is found that the dent's middle lies beyond REACH [grid pixels]."""
+ASIDE = 6
+"""Distance of a dent's middle from the contact that is found, at most: an instrument hides where it presses [grid
+pixels]."""
+KEPT = REACH + ASIDE
+"""Distance up to which the change around a contact is kept [grid pixels]."""
 FAR = 25
 """Least distance from the contact at which the depth's noise and the camera's motion are measured [grid pixels]."""
 MIN_FAR = 200

@@ -25,7 +25,7 @@ from palpate.physics.observation import Observation
 
 PRESS = "press"
 Horizon = int | Literal["press"] | None
-"""How much of a contact's motion counts: so many frames after its onset, those under the tool, or all."""
+"""Share of a contact's motion that counts: so many frames after its onset, those under the tool, or all."""
 SHADING = "shading"
 """Observation of how the tissue's light changes around a contact."""
 SAME_INSTANT = 1e-6
@@ -50,12 +50,12 @@ class Recorder(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Interaction:
-    """What the simulator needs to replay a run of contact, and what was observed of it."""
+    """A run of contact as the simulator replays it, and what was observed of it."""
 
     mesh: Mesh
     """Tissue at rest."""
     load: Press
-    """What acts on it; ``held`` to its last step where the release was not observed."""
+    """Load on it; ``held`` to its last step where the release was not observed."""
     observations: Mapping[str, Any]
     """Records by the names of observations (`observations.kinds`), and that of the followed point."""
     time_step: float
@@ -208,7 +208,7 @@ class InteractionBuilder:
         point = PointRecorder(vertex, self.rest, float(np.float32(noise)))
         self._recorders: dict[str, Recorder] = {"point": point, **recorders}
         self._added: dict[str, list[tuple[int, float, Any]]] = {name: [] for name in self._recorders}
-        """What frames added, with their numbers and times since the onset [s]."""
+        """Observations of frames, with their numbers and times since the onset [s]."""
 
     def add(self, frame: PreparedFrame) -> None:
         """The next frame."""

@@ -1,7 +1,8 @@
 """Tool and tissue masks of raw video: instruments by the network that ships, other lit pixels as tissue.
 
-The network's probability is averaged over time: that of the frame before is moved along the optical flow. Parts count
-if they are large, enter the view, and were there in the frame before. docs/masks.md reports the accuracy.
+The network looks twice at every picture (`models.instruments.network.TwoLooks`), and what it gives is no calibrated
+probability: 0.5 decides. It is averaged over time: that of the frame before is moved along the optical flow. Parts
+count if they are large, enter the view, and were there in the frame before. docs/masks.md reports the accuracy.
 """
 
 from pathlib import Path

@@ -176,11 +176,11 @@ def quantised(model: onnx.ModelProto, pictures: Tensor) -> onnx.ModelProto:
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
         )
-        return shared(onnx.load(output))
+        return share_constants(onnx.load(output))
 
 
-def shared(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Let a model, changed in place, hold equal constants once: both looks have the same weights."""
+def share_constants(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Let a model without subgraphs hold equal constants once, in place: both looks have the same weights."""
     constants = model.graph.initializer
     values = {each.name: (each.data_type, str(each.dims), to_array(each).tobytes()) for each in constants}
     first = {value: name for name, value in reversed(values.items())}

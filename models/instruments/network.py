@@ -112,7 +112,7 @@ class InstrumentNet(nn.Module):
 COARSE = (160, 256)
 """Height and width of a picture's coarser look [px], in which instruments that fill the view are found."""
 SURE = 0.8
-"""Probability of one look that makes an instrument: of two looks, one errs more often."""
+"""Probability above which one look alone makes an instrument: of two looks one is wrong more often than of one."""
 
 
 class TwoLooks(nn.Module):

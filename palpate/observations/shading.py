@@ -77,9 +77,9 @@ MOST_TOGETHER = 30.0
 """Residuals that count as one, at most. Coded pictures repeat their errors, which count as the law's: as noise they
 would leave gloss and albedo to their priors."""
 LAW_ERRORS = np.column_stack([(-0.4, -0.15, 0.0), (0.25, 0.25, 0.25)])
-"""What law, mesh and coding get wrong in φ, a column for each of two independent errors, as standard deviations: how
-deep and slow the dent is, which k_s explains rather than F, and the scale of all three, which inertia alone tells.
-`python -m benchmarks.path_traced` measures them on clips of a path tracer."""
+"""Errors of φ by law, mesh and coding, a column for each of two independent ones, as standard deviations: of how deep
+and slow the dent is, which k_s explains rather than F, and of the scale of all three, which inertia alone tells. They
+were chosen on clips of a path tracer, such as `python -m benchmarks.path_traced` compares."""
 
 
 class ShadingObservation(Observation):

@@ -89,16 +89,17 @@ def places(layout: GridLayout, mesh: Mesh, vertices: np.ndarray, planes: int) ->
 
 
 def _whole_grid(mesh: Mesh, dtype: np.dtype) -> WholeGrid | None:
-    """The grid that is kept with a mesh, laid out at the first call; None where the mesh is no grid."""
-    if dtype not in mesh.grids:
+    """Return the grid that is kept with a mesh, laid out at the first call; None where the mesh is no grid."""
+    grids = mesh.grids
+    if dtype not in grids:
         pixels = np.ascontiguousarray(mesh.pixels.T, dtype=np.int32)
         corner = pixels.min(axis=1) - 1
         rows, columns = (pixels.max(axis=1) - corner + 2).tolist()
         given = (mesh.vertices, dtype), (mesh.springs, np.int32), (pixels.T - corner, np.int32), (~mesh.rim, bool)
         arrays = (np.ascontiguousarray(values, dtype=kind) for values, kind in given)
         regular, rest, *ends = _filled(*arrays, rows, columns, dtype.type(NORM_GUARD))
-        mesh.grids[dtype] = WholeGrid(rest.reshape(rows, REST_PLANES, columns), *ends, corner) if regular else None
-    return mesh.grids[dtype]
+        grids[dtype] = WholeGrid(rest.reshape(rows, REST_PLANES, columns), *ends, corner) if regular else None
+    return grids[dtype]
 
 
 @kernel

@@ -96,7 +96,8 @@ def refutes(misfit: float, problem: JointLikelihood) -> bool:
 def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray) -> PressResult:
     """Return the posterior around the optima of a sequence's fit, with its verdict; `tissue` as in `field_optima`.
 
-    Where the contact may hide its own bottom, or the model is refuted, the covariance of a large noise is added.
+    Where the contact may hide its own bottom, or the model is refuted, the covariance of a large noise is added to its
+    own.
     """
     box = problem.motion.box(tissue)
     prior = box_information(box)
@@ -129,7 +130,7 @@ def sampled(problem: JointLikelihood, optima: list[Optimum], tissue: np.ndarray)
     if refutes(misfit, problem):
         # What a wrong model leaves in a frame, beyond the noise, is one error however many pixels show it.
         wrong += (misfit**2 - 1) * problem.first.counted / len(problem.first.times)
-    if wrong <= scale:
+    if wrong <= scale and not is_oblique(found):
         return found
     return found.widened(np.linalg.inv(about_tissue(information / wrong, prior) + prior[:3, :3]))
 
@@ -179,6 +180,7 @@ def recentred(problem: JointLikelihood, logs: np.ndarray) -> tuple[Interaction, 
     contact, sequence = problem.first.contact, problem.first.contact.observations["depth"]
     simulated = problem.first.change(problem.motion.at(logs)[0] + problem.offset, logs).reshape(sequence.change.shape)
     around = sequence.change if sequence.around is None else sequence.around
+    # By so many rows and columns; by two where nothing more is kept around.
     most = max((around.shape[1] - simulated.shape[1]) // 2, 2)
     places = {tuple(pixel): vertex for vertex, pixel in enumerate(contact.mesh.pixels.tolist())}
     own, found = contact.mesh.pixels[contact.vertex], []

@@ -175,9 +175,8 @@ def doubts(found: PressResult, bounds: Bounds) -> str:
     """Return sentences on why an estimate can't be trusted; empty where nothing speaks against it."""
     texts = [remark(found), found.refuted]
     if found.misfit > found.largest_misfit:
-        # An oblique one was inflated by its misfit.
-        end = "." if texts[0] else ", so the uncertainties are too small."
-        texts.append(f"The model does not explain the data: they lie {found.misfit:.2g} times the noise from it{end}")
+        apart = f"they lie {found.misfit:.2g} times the noise from it"
+        texts.append(f"The model does not explain the data: {apart}; don't trust the fit.")
     if found.course.at_end:
         texts.append("The press seems to begin or end a whole frame from where it was seen to; don't trust the fit.")
     for name, stuck, (low, high) in zip(PARAMETERS, found.at_bound, np.exp(bounds.log_box).T, strict=True):

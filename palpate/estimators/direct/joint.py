@@ -37,7 +37,8 @@ def fit_together(
     for name in names:
         if name not in contact.observations or not len(contact.observations[name].times):
             raise NoEstimate(f"No frame after the onset shows {name} of the tissue around the contact.")
-    depth = fit_press(contact, mechanics, within, noise, tissue) if "depth" in names else None
+    # All observations are of the contact where it was found, so depth alone may not move it either.
+    depth = fit_press(contact, mechanics, within, noise, tissue, tries=0) if "depth" in names else None
     kind: Kind = PatchMotion if depth is not None and depth.course.shape is not None else PressMotion
     observations = [OBSERVATIONS[name](contact, *[noise] * (name == "depth")) for name in names]
     problem = JointLikelihood(observations, partial(kind, contact, mechanics, within=within))

@@ -31,7 +31,7 @@ TISSUE = RECOMMENDED.log_box
 DEPTHS = (0.03, 0.06, 0.1)
 """Largest displacements with which every one of them is tried, in shares of the tissue's distance."""
 ASIDE = (-1.5, 0.0, 1.5)
-"""How far from the middle of what has darkened the dent is tried, by rows and columns [grid pixels]."""
+"""Distances from the middle of what has darkened at which the dent is tried, by rows and columns [grid pixels]."""
 TILTS = 0.3 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
 """Tilts with which every one of these places is tried, right and down, as tangents."""
 FEW, MORE = 5, 8
@@ -193,7 +193,7 @@ def _starts(problem: JointLikelihood) -> np.ndarray:
 
 
 def _led(problem: JointLikelihood, logs: np.ndarray, evaluations: int, rounds: int) -> tuple[float, np.ndarray]:
-    """How badly parameters explain the light that some rounds of fits lead to, and those parameters."""
+    """Return how badly parameters that some rounds of fits lead to explain the light, and those parameters."""
     box = problem.box(TISSUE)
     for _ in range(rounds):
         logs = np.clip(logs, box[0] + 1e-9, box[1] - 1e-9)
@@ -204,7 +204,8 @@ def _led(problem: JointLikelihood, logs: np.ndarray, evaluations: int, rounds: i
 
 
 def _concluded(problem: JointLikelihood, logs: np.ndarray) -> PressResult:
-    """What the light leaves open around parameters that explain it best, and along the scale that inertia tells."""
+    """Return the estimate: parameters that explain the light best, and what it leaves open around them and along the
+    scale that inertia tells."""
     box, shading = problem.box(TISSUE), problem.first
     prior = box_information(box)
     low, high = box[0] + 1e-9, box[1] - 1e-9

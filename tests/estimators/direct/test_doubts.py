@@ -76,7 +76,8 @@ def test_doubts_name_a_model_that_explains_more_and_delays_at_the_end_of_their_r
 
 
 def test_doubts_name_a_press_aslant_to_the_line_of_sight_whose_uncertainties_were_widened() -> None:
-    misfit, angle = "The model does not explain the data: they lie 7 times the noise from it", OBLIQUE.format(12.0)
-    assert doubted(misfit=7.0, course=PressCourse(view_angle=3.0)) == f"{misfit}, so the uncertainties are too small."
-    assert doubted(misfit=7.0, course=PressCourse(view_angle=12.0)) == f"{angle} {misfit}."
+    misfit = "The model does not explain the data: they lie 7 times the noise from it; don't trust the fit."
+    angle = OBLIQUE.format(12.0)
+    assert doubted(misfit=7.0, course=PressCourse(view_angle=3.0)) == misfit
+    assert doubted(misfit=7.0, course=PressCourse(view_angle=12.0)) == f"{angle} {misfit}"
     assert doubted(misfit=1.0, course=PressCourse(view_angle=12.0)) == angle

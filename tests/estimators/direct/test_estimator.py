@@ -9,14 +9,15 @@ from palpate.data.contact.interaction import Interaction
 from palpate.estimators.direct.contact_fit import trusted_information
 from palpate.estimators.direct.estimator import DirectEstimator, DirectSettings
 from palpate.estimators.direct.problem import Optimum, combine
-from palpate.estimators.estimate import NoEstimate
+from palpate.estimators.estimate import NoEstimate, PressCourse
 from palpate.estimators.onset import STAMP
 from palpate.physics.depth import DepthSequence, SequenceNoise
-from palpate.physics.load import Press, held
+from palpate.physics.load import Press, PressShape, held
 from palpate.physics.mechanics import Bounds, Mechanics
 from palpate.physics.mesh import Mesh, contact_normal
 from palpate.physics.msd.simulation import simulate
 from palpate.physics.observation import Observation
+from tests.estimators.estimates import ESTIMATE
 from tests.estimators.sessions import clip_info
 from tests.physics.sheets import sheet
 
@@ -86,6 +87,20 @@ def test_of_tissue_that_is_hidden_all_the_time_the_depth_around_counts() -> None
     assert np.isnan(found.along).all()
     assert (found.noise, found.steps) == (contact.noise, round(0.2 / found.time_step))
     assert DirectEstimator(DirectSettings()).start(clip_info()).needs_point is False
+
+
+@pytest.mark.parametrize("shape", [None, PressShape(2.0)])
+def test_reported_intervals_hold_what_the_model_gets_wrong(
+    monkeypatch: pytest.MonkeyPatch, shape: PressShape | None
+) -> None:
+    session = DirectEstimator(DirectSettings(onset=STAMP)).start(clip_info())
+    fitted = dataclasses.replace(ESTIMATE, course=PressCourse(shape=shape))
+    monkeypatch.setattr(session, "fit", lambda _: (fitted, (np.zeros(2), np.zeros(2))))
+    found, _, _ = session._whole(contact_of(REGIMES["critical"]))
+    # 0.1 of k_d/k_s and of F/k_s, 0.1 common; 0.35 of F where the patch that the instrument hides was fitted.
+    expected = 0.01 * np.array([[1, 1, 1], [1, 2, 1], [1, 1, 2]])
+    expected[2, 2] += 0.0 if shape is None else 0.35**2
+    np.testing.assert_allclose(found.covariance - fitted.covariance, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Fits of whole dents recover what made them, and say how well they can know it."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -198,3 +199,29 @@ def test_what_the_model_does_not_explain_widens_the_estimate() -> None:
     plain, spoiled = fit(contact), fit(noisy(contact, more))
     assert spoiled.misfit > 1.5
     assert (spoiled.log_sd > 1.3 * plain.log_sd).all()
+
+
+@pytest.mark.slow
+def test_a_refuted_fit_gets_the_covariance_of_one_further_error_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    contact = contact_of(REGIMES["critical"])
+    more = 0.5 * contact.sequence.change * np.sign(np.arange(-REACH, REACH + 1))
+    problem = dent_problem(noisy(contact, more), MECHANICS)
+    optima = field_optima(problem, BOX)
+    found = sampled(problem, optima, BOX)
+    assert contact_fit.refutes(found.misfit, problem)
+    monkeypatch.setattr(contact_fit, "refutes", lambda *_: False)
+    plain = sampled(problem, optima, BOX)
+    frame = problem.first.counted / len(contact.sequence.times)
+    square = found.misfit**2 + (found.misfit**2 - 1) * frame
+    added = np.linalg.inv(plain.information / square + box_information(BOX))
+    np.testing.assert_allclose(found.covariance - plain.covariance, added, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("counted", "misfit", "refuted"),
+    [(200, 1.22, False), (200, 1.23, True), (5000, 1.09, False), (5000, 1.11, True), (8, 2.0, True), (2, 2.0, False)],
+)
+def test_a_misfit_refutes_by_its_size_and_by_how_many_values_it_is_of(counted, misfit, refuted) -> None:
+    """The square of a misfit of N values spreads by the root of 2/N."""
+    problem = SimpleNamespace(first=SimpleNamespace(counted=float(counted)))
+    assert contact_fit.refutes(misfit, problem) is refuted

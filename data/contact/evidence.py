@@ -20,7 +20,7 @@ from palpate.data.contact.tips import tool_tips
 from palpate.data.prepared import PreparedFrame
 from palpate.data.tracks.background import ITERATIONS, LEAST_NOISE, MEDIAN_LENGTH, background_motion
 from palpate.data.tracks.following import COARSE, Shown, spread, values_at
-from palpate.data.tracks.linking import followed
+from palpate.data.tracks.linking import followed, textured
 
 PRIOR = 0.7
 """Probability that a tool whose outline touches tissue touches it, before anything has moved."""
@@ -48,7 +48,7 @@ TIP = 96.0
 """Part of a tool that may touch: this far back from the end which is farthest from where it enters [px]."""
 CAMERA_STILL = 0.5
 """A camera that moves less from picture to picture stands still [px]."""
-POINTS = 150
+POINTS = 250
 """Points that are followed in a tip, next to it, and in the background, about."""
 
 
@@ -203,18 +203,16 @@ def observed_motion(before: Shown, after: Shown) -> list[TipMotion]:
     if not tips:
         return []
     places = spread((before.away > GUARD) & before.lit, SPACING)
+    places = places[textured(before.gray, places)]
     distance = values_at(before.away, places) - GUARD
     # Every point belongs to the tip that it is nearest to, or to a shaft.
     owner = _nearest(places, tips, before)
     owner[distance > RING] = -1
     near, far = np.flatnonzero(owner >= 0), np.flatnonzero(distance > RING)
     every = max(1, round(len(near) / (POINTS * len(tips))))
-    few = np.concatenate([near[::every], far[:: max(1, round(len(far) / POINTS))]])
-    step, known = np.zeros((len(places), 2)), np.zeros(len(places), bool)
-    step[few], known[few] = followed(before.gray, after.gray, places[few])
-    if 2 * known.sum() < len(few):  # on smooth tissue
-        others, every = np.setdiff1d(np.concatenate([near, far]), few), 1
-        step[others], known[others] = followed(before.gray, after.gray, places[others])
+    chosen = np.concatenate([near[::every], far[:: max(1, round(len(far) / POINTS))]])
+    places, distance, owner = places[chosen], distance[chosen], owner[chosen]
+    step, known = followed(before.gray, after.gray, places)
     background = background_motion(places[known & (owner < 0)], step[known & (owner < 0)])
     if background is None:
         return []

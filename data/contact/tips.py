@@ -15,12 +15,15 @@ def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> li
     """
     edge = cv2.dilate((~lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     edge[[0, 1, 2, -3, -2, -1]] = edge[:, [0, 1, 2, -3, -2, -1]] = True
-    count, number, stats, _ = cv2.connectedComponentsWithStats(tool.astype(np.uint8))
+    left, top, width, height = cv2.boundingRect(tool.astype(np.uint8))
+    count, number, stats, _ = cv2.connectedComponentsWithStats(
+        tool[top : top + height, left : left + width].astype(np.uint8)
+    )
     tips = []
     for index in range(1, count):
         if stats[index, cv2.CC_STAT_AREA] < least:
             continue
-        part = np.argwhere(number == index)
+        part = np.argwhere(number == index) + np.array([top, left])
         entry = part[edge[part[:, 0], part[:, 1]]]
         if len(entry):
             away = np.linalg.norm(part - entry.mean(axis=0), axis=1)

@@ -14,6 +14,8 @@ import numpy as np
 
 WINDOW = 9
 """Width of Lucas and Kanade's windows for places whose motion is roughly known [px]; 9 px cost less than 7."""
+TEXTURE = 1e-3
+"""Smaller eigenvalue of a window's slopes below which places are not followed, as OpenCV scales it."""
 MAX_STEP = 3.0
 """Largest step by axis that is believed [px]."""
 SMOOTH = 1.0
@@ -256,12 +258,20 @@ def followed(
     """
     if not len(places):
         return np.zeros((0, 2)), np.zeros(0, bool)
-    start, search = places.astype(np.float32), _Search(3, 10, 0.03, 1e-3)
+    start, search = places.astype(np.float32), _Search(3, 10, 0.03, TEXTURE)
     guess = start if near is None else near.astype(np.float32)
     there, found = _lucas_kanade(one, other, start, guess, window, search)
     back, returned = _lucas_kanade(other, one, there, there + start - guess, window, search)
     # Largest distance to where following backwards takes such a place [px].
     return (there - start).astype(np.float64), found & returned & (_length(back - start) < 1.0)
+
+
+def textured(picture: np.ndarray, places: np.ndarray, window: int = 15) -> np.ndarray:
+    """Mask of the places that `followed` may find, in a fraction of its time; arguments as there."""
+    if not len(places):
+        return np.zeros(0, bool)
+    start = places.astype(np.float32)
+    return _lucas_kanade(picture, picture, start, start, window, _Search(0, 1, 1.0, TEXTURE))[1]
 
 
 def patterns(picture: np.ndarray, places: np.ndarray) -> np.ndarray:

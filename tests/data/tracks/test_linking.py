@@ -134,3 +134,18 @@ def test_resemblance_is_the_correlation_of_the_patterns() -> None:
         assert alike(one, other, place[None]) == pytest.approx(expected, abs=1e-4)
     assert alike(one, one // 2, PLACES) == pytest.approx(1, abs=0.01)
     assert alike(one, 255 - one, PLACES) == pytest.approx(-1, abs=1e-5)
+
+
+def test_places_on_plain_tissue_are_known_not_to_be_followed() -> None:
+    """Those that are left out are the very ones that following loses, so that leaving them out changes nothing."""
+    picture = texture(1)
+    picture[:, WIDTH // 2 :] = 120
+    one, other = gray(picture), gray(warped(picture, shift(1.0, 0.0)))
+    usable = linking.textured(one, WIDE)
+    column = WIDE[:, 0]
+    assert usable[column < WIDTH / 2 - 10].all()
+    assert not usable[column > WIDTH / 2 + 10].any()
+    known = linking.followed(one, other, WIDE)[1]
+    assert not known[~usable].any()
+    np.testing.assert_array_equal(linking.followed(one, other, WIDE[usable])[1], known[usable])
+    assert linking.textured(one, WIDE[:0]).shape == (0,)

@@ -21,6 +21,7 @@ from palpate.data.contact.geometry import GeometryStatus, frame_geometry
 from palpate.data.contact.instruments import InstrumentNumbers
 from palpate.data.contact.light_contacts import LightContacts
 from palpate.data.contact.motion import ContactMotion
+from palpate.data.contact.tips import JAWS
 from palpate.data.depth.normalise import estimate_scale, normalise, open_depth, resize_depth
 from palpate.data.depth.shading import organ_shape
 from palpate.data.depth.sources import DepthSource
@@ -264,7 +265,9 @@ class ClipStream:
         """Contact and mesh, or the status that says why there is none."""
         try:
             view = prepared.depth, prepared.labels, self.camera, self.settings.geometry
-            geometry = frame_geometry(*view, ends=prepared.ends)
+            # Guessed depth doesn't tell where along its free end an instrument touches.
+            ends = prepared.ends_within(JAWS) if self.guesses_depth else prepared.ends
+            geometry = frame_geometry(*view, ends=ends)
         except GeometryStatus as status:
             prepared.status, prepared.distance = status.status, status.distance
             prepared.detail = depth_error if status.status == "bad_depth" and depth_error else status.detail

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 
 from palpate.common.robust import median_sd
-from palpate.data.contact.tips import tool_tips
+from palpate.data.contact.tips import JAWS, tool_tips
 from palpate.data.labels import TOOL
 from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.light import FINE
 from palpate.data.shading.registration import View
 from palpate.data.tracks.following import lit_field
 
-TIP, LEAST_TIP = 6.0, 6
-"""Length of an instrument's free end, which may press [grid pixels], and the smallest mask of one [grid pixels²]."""
+LEAST_TIP = 6
+"""Smallest mask of an instrument's free end [grid pixels²]."""
 REDDER = 0.06
 """A dent is redder than at rest by at least this [logarithm]."""
 DENT, AROUND, FAR = 6.0, 20.0, 50.0
@@ -67,7 +67,7 @@ class LitFrame:
             picture, labels = registered()
             tool, lit = (part.astype(np.uint8) for part in (labels == TOOL, lit_field(picture)))
             tool = cv2.resize(tool, (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT) > 0
-            for tip in tool_tips(tool, cv2.resize(lit, (columns, rows)) > 0, TIP, LEAST_TIP):
+            for tip in tool_tips(tool, cv2.resize(lit, (columns, rows)) > 0, JAWS, LEAST_TIP):
                 ends[tip[:, 1], tip[:, 0]] = 1
         near = np.full(size[::-1], np.inf)
         if ends.any():

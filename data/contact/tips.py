@@ -3,6 +3,9 @@
 import cv2
 import numpy as np
 
+JAWS = 6.0
+"""Length of an instrument's free end in which a contact lies [grid pixels], about that of its jaws."""
+
 
 def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> list[np.ndarray]:
     """Places (column, row) in the free end of every tool, [P, 2] each; in all of a tool that enters nowhere.

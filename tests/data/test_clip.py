@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from palpate.data.clip import ClipStream, prepare
 from palpate.data.contact.geometry import GeometrySettings
+from palpate.data.contact.tips import JAWS
 from palpate.data.contact.tissue_points import grid_to_picture, lift, rigid_motion
-from palpate.data.labels import TISSUE, UNSURE
+from palpate.data.labels import TISSUE, TOOL, UNSURE
 from palpate.data.settings import PrepareSettings
-from palpate.data.source.frames import open_source
+from palpate.data.source.frames import Frame, open_source
 from palpate.data.source.layout import ClipLayout, InputError, load_layout
 from palpate.data.windows import FrameWindow, future_indices, window_indices
 from tests.conftest import CHECKOUT
@@ -125,6 +126,20 @@ def test_guessed_depth_is_found_in_one_of_so_many_frames_and_kept_in_between(tmp
     assert not np.array_equal(each[4].depth, each[3].depth)
     measured = run(folder, replace(SETTINGS, every=3))
     assert all(np.array_equal(one.depth, two.depth) for one, two in zip(measured, run(folder), strict=True))
+
+
+def test_by_guessed_depth_a_contact_lies_at_the_jaws_wherever_a_shaft_seems_to_touch(tmp_path):
+    labels = np.full((320, 428), TISSUE, np.uint8)
+    labels[150:166, :300] = TOOL
+    settings = replace(SETTINGS, geometry=replace(GRID, width=214, height=160))
+    settings = replace(settings, depth=replace(settings.depth, source="photometric"))
+    stream = ClipStream(open_source(write_clip(tmp_path / "video01_00000"), settings.layout), settings)
+    for seed in range(5):
+        noise = np.random.default_rng(seed).integers(40, 220, (8, 11), np.uint8)
+        image = np.repeat(cv2.resize(noise, (428, 320), interpolation=cv2.INTER_CUBIC)[..., None], 3, axis=2)
+        column, row = stream.prepared(Frame(0, 0, 0.0, image), labels).contact.pixel
+        assert 150 - JAWS - 3 <= column <= 150 + 3
+        assert 75 - 3 <= row <= 83 + 3
 
 
 def spoil(folder: Path) -> None:

@@ -8,6 +8,7 @@ left out. Pictures are compared at 384×224. table.csv has a row a source:
 
 pictures, IoU, below 0.05    pictures with an instrument, their mean IoU, and the share with an IoU below 0.05
 stray pixels, above 100      mean number of pixels farther than 4 px from an instrument; share of pictures with over 100
+tips                         share of outlines' free ends, farthest from where they enter, within 16 px of one found
 tool-free, tool found there  pictures without an instrument, and those in which one is found
 ms a frame                   median time
 """
@@ -26,6 +27,7 @@ from benchmarks.harness import csv_of, show
 from palpate.common.command_line import say
 from palpate.common.doors import run_door
 from palpate.common.options import options
+from palpate.data.contact.tips import tool_tips
 from palpate.data.labels import TOOL
 from palpate.data.masks.annotation import read_class_mask
 from palpate.data.masks.automatic import WEIGHTS, AutomaticMasks
@@ -33,7 +35,13 @@ from palpate.data.masks.request import MaskClasses
 from palpate.data.source.frames import Frame
 from palpate.data.source.images import read_image
 from palpate.data.source.layout import IMAGE_SUFFIXES, InputError
+from palpate.data.tracks.following import lit_field
 from palpate.results.store import OutputError, make_output
+
+SIZE = 384, 224
+"""Width and height at which pictures are compared."""
+NEAR = 16.0
+"""Free ends that are found lie no farther from drawn ones [px]."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,12 @@ def instrument(mask: Path, size: tuple[int, int]) -> np.ndarray:
     return np.where(stored == 255, 1, np.where(stored > 0, 2, 0)).astype(np.uint8)
 
 
+def free_ends(tool: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Places (column, row) of the points of instruments that are farthest from where they enter, shape [N, 2]."""
+    ends = [part.mean(axis=0) for part in tool_tips(tool, lit, 2.0, 20)]
+    return np.array(ends).reshape(-1, 2)
+
+
 def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[dict[str, float]]:
     """Measures of the pictures of one source; each is masked by itself."""
     masks = AutomaticMasks(network, threads=1)
@@ -86,8 +100,9 @@ def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[d
         began = time.perf_counter()
         labels = masks(frame)
         seconds = time.perf_counter() - began
+        lit = cv2.resize(lit_field(frame.picture).astype(np.uint8), SIZE, interpolation=cv2.INTER_NEAREST) > 0
         pair = (labels == TOOL).astype(np.uint8), instrument(mask, labels.shape)
-        found, true = (cv2.resize(each, (384, 224), interpolation=cv2.INTER_NEAREST) for each in pair)
+        found, true = (cv2.resize(each, SIZE, interpolation=cv2.INTER_NEAREST) for each in pair)
         known, tool = true != 2, true == 1
         found = (found > 0) & known
         # Pixels farther than four from an instrument count as stray.
@@ -97,7 +112,9 @@ def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[d
         if tool.sum() < 20:
             yield row | {"free": 1.0, "false": float(found.sum() > 60)}
         else:
-            yield row | {"iou": float((found & tool).sum() / union)}
+            apart = np.linalg.norm(free_ends(tool, lit)[:, None] - free_ends(found, lit), axis=-1)
+            hit = apart.min(axis=1, initial=np.inf) <= NEAR
+            yield row | {"iou": float((found & tool).sum() / union), "ends": len(hit), "ends_found": hit.sum()}
 
 
 def table(rows: pd.DataFrame) -> pd.DataFrame:
@@ -110,6 +127,7 @@ def table(rows: pd.DataFrame) -> pd.DataFrame:
             "below 0.05": parts.iou.apply(lambda iou: (iou < 0.05).sum() / max(iou.count(), 1)),
             "stray pixels": parts.stray.mean(),
             "above 100": parts.stray.apply(lambda stray: (stray > 100).mean()),
+            "tips": parts.ends_found.sum() / parts.ends.sum(),
             "tool-free": parts.free.sum(),
             "tool found there": parts.false.sum(),
             "ms a frame": 1e3 * parts.seconds.median(),
@@ -127,7 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         make_output(asked.output)
         rows = [
-            {"source": source, "free": np.nan, "false": np.nan, "iou": np.nan} | row
+            {"source": source, **dict.fromkeys(("free", "false", "iou", "ends", "ends_found"), np.nan)} | row
             for source, pictures in sources(asked.data).items()
             for row in measured(asked.network, pictures)
         ]

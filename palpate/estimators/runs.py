@@ -3,11 +3,11 @@
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache, partial
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -28,9 +28,10 @@ from palpate.estimators.run_tracker import RECORDED, UNDECIDED, Run, RunTracker
 from palpate.physics.mechanics import Bounds, Mechanics
 
 OUTLINES_ALONE = "Contact by outlines alone: nothing has moved yet that would show whether tissue moves with the tool."
+Fitted = TypeVar("Fitted")
 MOST_FITS = 4
-"""Presses of a live source that wait for their fits at most."""
-TOO_MANY = f"Not fitted: presses came faster than they can be fitted here, and {MOST_FITS} were waiting."
+"""Contacts of a live source that wait for their fits at most."""
+TOO_MANY = f"Not fitted: contacts came faster than they can be fitted here, and {MOST_FITS} were waiting."
 WHOLE = "Whole runs of contact are fitted, when they have ended: see interactions.csv."
 
 
@@ -63,7 +64,7 @@ class RunSession:
         """True if that light is looked at although depth is measured."""
         self.seconds = StageSeconds()
         self.fitter: Executor | None = None
-        """Process that fits presses by shading, for live sources; None = later frames wait for the fits."""
+        """Process that fits presses by shading, and pulls, for live sources; None = later frames wait for the fits."""
         self._fits: deque[Future[InteractionEstimate]] = deque()
         self._fit_thread = ThreadPoolExecutor(1, "fit")
         self._runs = RunTracker(clip, self.mechanics.seconds, observations)
@@ -98,7 +99,7 @@ class RunSession:
         """Yield the record of a run that has ended, once it is fitted."""
         if run is not None:
             recorder, self._grip = self._grip, None
-            if self.fitter is None or not (self.by_light and run.lit):
+            if self.fitter is None or (recorder is None and not (self.by_light and run.lit)):
                 yield self._recorded(run, recorder)
             elif len(self._fits) < MOST_FITS:
                 self._fits.append(self._fit_thread.submit(self._recorded, run, recorder))
@@ -128,7 +129,7 @@ class RunSession:
             if self.by_light and contact.shows_light:
                 mechanics = self.lit_mechanics
                 with self.seconds.timed("fit"):
-                    contact, found, simulated = self._fitted(contact)
+                    contact, found, simulated = self._computed(fit_shading, contact, 1 / self.clip.fps)
                 doubts = found.refuted
             else:
                 found, simulated, doubts = self._whole(contact)
@@ -139,14 +140,14 @@ class RunSession:
             interaction=contact, estimate=found, mechanics=mechanics, simulated=simulated, detail=detail
         )
 
-    def _fitted(self, contact: Interaction) -> tuple[Interaction, PressResult, tuple[np.ndarray, np.ndarray]]:
-        """Return what `fit_shading` does."""
+    def _computed(self, fit: Callable[..., Fitted], *arguments: Any) -> Fitted:
+        """Return what a fit returns, by the process for fits where there is one."""
         if self.fitter is None:
-            return fit_shading(contact, 1 / self.clip.fps)
+            return fit(*arguments)
         try:
-            return self.fitter.submit(fit_shading, contact, 1 / self.clip.fps).result()
+            return self.fitter.submit(fit, *arguments).result()
         except BrokenProcessPool as error:
-            raise NoEstimate("The process that fits presses was killed, maybe for want of memory.") from error
+            raise NoEstimate("The process that fits contacts was killed, maybe for want of memory.") from error
 
     def _gripped(self, record: InteractionEstimate, recorder: GripRecorder, only: bool) -> InteractionEstimate:
         """Return the record of a run with the estimate of its grip; failures are reported if that is the `only`
@@ -154,7 +155,7 @@ class RunSession:
         found, sentence = None, ""
         try:
             with self.seconds.timed("grip"):
-                found = recorder.estimate()
+                found = self._computed(recorder.motion().estimate)
         except NoEstimate as reason:
             sentence = str(reason) if only else ""
         if found is not None and not found.explained:

@@ -207,7 +207,7 @@ def test_without_a_noise_level_rest_is_where_the_point_was_at_the_onset() -> Non
 def test_a_grip_that_is_not_explained_says_so() -> None:
     grip = PullResult(0.2, -math.inf, *np.ones((3, 2)))
     recorder = create_autospec(GripRecorder, instance=True)
-    recorder.estimate.return_value = grip
+    recorder.motion.return_value.estimate.return_value = grip
     record = InteractionEstimate(0, 0, 0.0, detail="No onset.")
     found = module.RunSession(clip_info(), Mechanics())._gripped(record, recorder, True)
     assert found.grip is grip
@@ -230,11 +230,23 @@ def test_fits_of_a_live_source_wait_and_more_than_four_are_not_made(monkeypatch:
     assert [(found.onset_frame, found.detail) for found in session.finish()] == [(index, "") for index in range(4)]
 
 
+def test_pulls_of_a_live_source_are_fitted_by_the_process_and_wait_as_presses_do() -> None:
+    """Their fits take as long, and frames come meanwhile."""
+    session, fitter = module.RunSession(clip_info(), Mechanics()), create_autospec(Executor, instance=True)
+    session.fitter, recorder = fitter, create_autospec(GripRecorder, instance=True)
+    grip = fitter.submit.return_value.result.return_value = PullResult(0.9, -math.inf, *np.ones((3, 2)))
+    session._grip = recorder
+    (first, *_) = linked([State("ok")] * 2, CONTACT)
+    said = [*session._ended(Run(first, clip_info(), SECONDS)), *session.finish()]
+    assert [found.grip for found in said] == [grip]
+    fitter.submit.assert_called_once_with(recorder.motion.return_value.estimate)
+
+
 def test_a_fit_whose_process_is_gone_says_so() -> None:
     session, fitter = module.RunSession(clip_info(), Mechanics()), create_autospec(Executor, instance=True)
     fitter.submit.side_effect, session.fitter = BrokenProcessPool, fitter
     with pytest.raises(NoEstimate, match="killed, maybe for want of memory"):
-        session._fitted(create_autospec(Interaction, instance=True))
+        session._computed(module.fit_shading, create_autospec(Interaction, instance=True), 0.04)
 
 
 @pytest.mark.parametrize(("name", "followed"), [("direct", True), ("network", False)])
@@ -243,7 +255,7 @@ def test_motion_around_the_instrument_is_recorded_after_an_onset_that_was_seen(
 ) -> None:
     """`direct` estimates a grip wherever the press is undetermined; `network` only where depth tells nothing."""
     made = create_autospec(GripRecorder)
-    made.return_value.estimate.return_value = PullResult(0.5, -math.inf, *np.ones((3, 2)))
+    made.return_value.motion.return_value.estimate.return_value = PullResult(0.5, -math.inf, *np.ones((3, 2)))
     monkeypatch.setattr(module, "GripRecorder", made)
     frames = linked([State("no_contact"), *[State("ok")] * 2], CONTACT)
     (run,) = follow(open_estimator(name).start(clip_info()), frames)[1]

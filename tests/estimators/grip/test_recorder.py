@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import math
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ from palpate.estimators.estimate import NoEstimate
 from palpate.estimators.grip import recorder as module
 from palpate.estimators.grip.grip_estimate import HELD, LEAST_LEAD, PullResult, force_error
 from palpate.estimators.grip.lattice import GripFrame, fit_sheets
-from palpate.estimators.grip.recorder import GripRecorder
+from palpate.estimators.grip.recorder import GripRecorder, PullMotion
 from palpate.estimators.result import LEAST_SKILL
 from palpate.physics.mesh import Mesh, grid_mesh
 from tests.estimators.sessions import prepared_frame, touched
@@ -89,7 +88,7 @@ def run(count: int, pull: float, middle: np.ndarray = TIP, decay: float = DECAY)
 
 @pytest.fixture(scope="module")
 def pull() -> PullResult:
-    return run(12, 1.5).estimate()
+    return run(12, 1.5).motion().estimate()
 
 
 def test_the_force_of_a_pull_grows_as_the_grip_moves(pull: PullResult) -> None:
@@ -102,7 +101,7 @@ def test_the_force_of_a_pull_grows_as_the_grip_moves(pull: PullResult) -> None:
 
 
 def test_tissue_that_moves_elsewhere_is_not_explained_by_the_tool() -> None:
-    found = run(12, 1.5, middle=np.array([250.0, 120.0])).estimate()
+    found = run(12, 1.5, middle=np.array([250.0, 120.0])).motion().estimate()
     assert found.skill < LEAST_SKILL
     assert (found.explained, found.verdict, found.determined) == (False, "undetermined", ())
 
@@ -118,8 +117,8 @@ def test_a_motion_that_spreads_from_elsewhere_is_explained_better_from_there() -
     gripped = distance < module.DRIVEN
     own = own[[GripFrame(frame, gripped).moves for frame in own]]
     skill = fit_sheets(points, 8, gripped, own, np.zeros((len(own), 3, 2))).skill(len(own) // 2)
-    recorder = SimpleNamespace(_follower=SimpleNamespace(points=points, distance=distance, spacing=8))
-    rival = functools.partial(GripRecorder._rival_skill, recorder, count=int(gripped.sum()), own=own)  # ty: ignore[invalid-argument-type]  what is read
+    motion = PullMotion(points, 8, distance, [], 0, 0)
+    rival = functools.partial(motion._rival_skill, count=int(gripped.sum()), own=own)
     assert skill < rival(seen=distance > 0) + LEAST_LEAD
     assert rival(seen=distance < 90) == -math.inf
 
@@ -129,12 +128,12 @@ def test_a_grip_whose_points_are_lost_is_a_sentence() -> None:
     near = found._follower.distance < module.DRIVEN
     found._kept[3].moved[near] = np.nan
     with pytest.raises(NoEstimate, match=r"^0 points at the tool are seen in all frames; 20 are needed"):
-        found.estimate()
+        found.motion().estimate()
 
 
 def test_a_tool_over_still_tissue_tells_nothing() -> None:
     with pytest.raises(NoEstimate, match=r"^In 0 of 7 frames the tissue moves with the instrument by more than 1 px"):
-        run(8, 0.0).estimate()
+        run(8, 0.0).motion().estimate()
 
 
 def test_memory_does_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,9 +16,11 @@ def tool_tips(tool: np.ndarray, lit: np.ndarray, reach: float, least: int) -> li
         reach: length of a free end, from the pixel farthest from the tool's entry [px].
         least: smallest number of pixels of a tool.
     """
+    left, top, width, height = cv2.boundingRect(tool.astype(np.uint8))
+    if not width:  # OpenCV crashes where no pixel is left
+        return []
     edge = cv2.dilate((~lit).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     edge[[0, 1, 2, -3, -2, -1]] = edge[:, [0, 1, 2, -3, -2, -1]] = True
-    left, top, width, height = cv2.boundingRect(tool.astype(np.uint8))
     count, number, stats, _ = cv2.connectedComponentsWithStats(
         tool[top : top + height, left : left + width].astype(np.uint8)
     )

@@ -39,7 +39,7 @@ class PullMotion:
 
     points: np.ndarray
     """Places at rest, shape [N, 2] [px]."""
-    spacing: float
+    spacing: int
     """Spacing of their grid [px]."""
     distance: np.ndarray
     """Distance from the instrument at rest, shape [N] [px]."""

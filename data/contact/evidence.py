@@ -36,6 +36,7 @@ CERTAIN = 0.9
 WAITS, FORGETS = 8, 0.03
 """A contact that was not seen to begin, and isn't certain, waits for so many frames to be decided by a later one; by
 this share the probability returns to PRIOR in a frame, as contacts begin and end."""
+GLIMPSED = "Outlines touch in this frame alone, as where a mask flickers."
 HOVERS = "The tissue next to the tool does not move with it, so it hovers (probability of contact {:.2f})."
 
 SPACING = 8
@@ -82,11 +83,24 @@ class ContactEvidence:
         """The frame before, if its tool was found to hover, and the contact that its outlines show."""
         self._last: list[PreparedFrame] = []
         """Frames that a later one may decide anew, the last one at least."""
+        self._touching = 0
+        """Number of frames up to the last one in which outlines touch."""
+        self._quiet = WAITS
+        """Number of frames before these in which none do; many before the first."""
 
     def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
         """Judge the next frame; gives those before it that are decided now."""
-        follows = prepared.follows(self._number)
+        follows, touching, came = prepared.follows(self._number), prepared.in_contact, self._came
         self.judge(prepared)
+        if touching:
+            self._touching = self._touching + 1 if follows else 1
+        else:
+            glimpsed = follows and self._touching == 1 and not came and self._quiet >= WAITS
+            if glimpsed and prepared.status == "no_tool":
+                self._doubt(self._last[-1])
+            elif self._touching:
+                self._quiet = 0
+            self._touching, self._quiet = 0, self._quiet + 1
         probability = prepared.contact_probability
         if follows and not self._came and (probability < THRESHOLD or probability >= CERTAIN):
             for age, earlier in enumerate(reversed(self._last), 1):
@@ -94,6 +108,13 @@ class ContactEvidence:
         frames, kept = [*self._last, prepared], WAITS if self.waits(prepared) else 1
         self._last = frames[-kept:]
         return frames[:-kept]
+
+    @staticmethod
+    def _doubt(alone: PreparedFrame) -> None:
+        """Reject a contact of one frame amid many without an instrument, if nothing but outlines shows it."""
+        if alone.in_contact and alone.contact_probability <= PRIOR:
+            alone.reject(GLIMPSED)
+            alone.contact_probability, alone.undecided = math.nan, False
 
     def waits(self, prepared: PreparedFrame) -> bool:
         """Return whether a later frame may decide a frame that was judged."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.data.contact.evidence import CERTAIN, PRIOR
+from palpate.data.contact.evidence import CERTAIN
 from palpate.data.contact.interaction import InteractionBuilder
 from palpate.data.prepared import PreparedFrame
 from palpate.data.shading.sequence import RestingLight
@@ -64,13 +64,8 @@ class Run:
 
     @property
     def passed(self) -> bool:
-        """True if contact was never likely: the tool hovered all the time, or was at tissue in one frame alone."""
-        return self.glimpsed or (self.hovered and not self.undecided and not self.contact >= CERTAIN)
-
-    @property
-    def glimpsed(self) -> bool:
-        """True if outlines touch in one frame, and nothing else speaks for contact: a mask that flickers does that."""
-        return self.last == self.index and self.contact <= PRIOR and not self.hovered
+        """True if the tool only passed over the tissue: it hovered all the time, and contact was never likely."""
+        return self.hovered and not self.undecided and not self.contact >= CERTAIN
 
     def add(self, current: PreparedFrame) -> None:
         """Add a frame of the run, in contact or followed after it."""
@@ -87,8 +82,6 @@ class Run:
     @property
     def unobserved(self) -> str:
         """Reason why nothing can be estimated of a run without observations, or without contact."""
-        if self.glimpsed:
-            return "No contact: outlines touch in this frame alone, as where a mask flickers."
         if self.passed:
             return "No contact: the instrument moves, and the tissue next to it does not move with it."
         if self.builder is None:

@@ -158,6 +158,36 @@ def test_a_tool_that_was_seen_to_come_to_the_tissue_has_met_it(distance: float, 
     assert [frame.status for frame in frames[1:]] == [expected] * 3
 
 
+@pytest.mark.parametrize(
+    ("statuses", "expected"),
+    [
+        ("no_tool ok no_tool", "no_contact"),
+        ("no_tool ok ok no_tool", "ok"),
+        ("no_contact ok no_contact", "ok"),  # it was seen to come
+        ("no_tool ok", "ok"),  # the clip ends
+        ("no_tool ok no_mask", "ok"),  # it may be there
+    ],
+)
+def test_an_outline_that_is_there_in_one_frame_alone_is_a_mask_that_flickers(statuses: str, expected: str) -> None:
+    views = drawn(np.zeros((4, 2)))
+    frames = [prepared(number, views[number], status=status) for number, status in enumerate(statuses.split())]
+    evidence = ContactEvidence()
+    given = [frame for item in frames for frame in evidence.push(item)] + evidence.finish()
+    assert given == frames
+    assert frames[1].status == expected
+    assert math.isnan(frames[1].contact_probability) == (expected == "no_contact")
+
+
+def test_a_mask_that_flickers_soon_after_a_contact_may_show_its_instrument_again() -> None:
+    views = drawn(np.zeros((6, 2)))
+    statuses = "no_tool ok ok no_tool ok no_tool"
+    frames = [prepared(number, views[number], status=status) for number, status in enumerate(statuses.split())]
+    evidence = ContactEvidence()
+    for frame in frames:
+        evidence.push(frame)
+    assert [frame.status for frame in frames] == statuses.split()
+
+
 COMES = np.array([(3.0 * min(index, 4), 0.0) for index in range(9)])
 """A tool passes, arrives in frame 4 and then stands still."""
 

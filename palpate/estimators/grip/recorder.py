@@ -47,7 +47,7 @@ class PullMotion:
     """Moving frames, evenly spread over the run."""
     count: int
     """Number of moving frames."""
-    seen: int
+    frames: int
     """Number of frames in contact."""
 
     def estimate(self) -> PullResult:
@@ -58,7 +58,7 @@ class PullMotion:
         """
         half, points = len(self.kept) // 2, self.points
         if half < LEAST_FRAMES:
-            problem = f"In {self.count} of {self.seen} frames the tissue moves with the instrument by more than"
+            problem = f"In {self.count} of {self.frames} frames the tissue moves with the instrument by more than"
             raise NoEstimate(f"{problem} {LEAST_MOTION:g} px and enough of it is seen; {2 * LEAST_FRAMES} are needed.")
         times, moved, own = (np.array(values, np.float64) for values in zip(*self.kept, strict=True))
         visible = np.asarray(np.isfinite(moved).all(axis=(0, 2)))

@@ -85,7 +85,7 @@ def instrument(mask: Path, size: tuple[int, int]) -> np.ndarray:
     return np.where(stored == 255, 1, np.where(stored > 0, 2, 0)).astype(np.uint8)
 
 
-def free_ends(tool: np.ndarray, lit: np.ndarray) -> np.ndarray:
+def end_points(tool: np.ndarray, lit: np.ndarray) -> np.ndarray:
     """Places (column, row) of the points of instruments that are farthest from where they enter, shape [N, 2]."""
     ends = [part.mean(axis=0) for part in tool_tips(tool, lit, 2.0, 20)]
     return np.array(ends).reshape(-1, 2)
@@ -112,13 +112,14 @@ def measured(network: Path, pictures: Sequence[tuple[Path, Path]]) -> Iterator[d
         if tool.sum() < 20:
             yield row | {"free": 1.0, "false": float(found.sum() > 60)}
         else:
-            apart = np.linalg.norm(free_ends(tool, lit)[:, None] - free_ends(found, lit), axis=-1)
+            apart = np.linalg.norm(end_points(tool, lit)[:, None] - end_points(found, lit), axis=-1)
             hit = apart.min(axis=1, initial=np.inf) <= NEAR
             yield row | {"iou": float((found & tool).sum() / union), "ends": len(hit), "ends_found": hit.sum()}
 
 
 def table(rows: pd.DataFrame) -> pd.DataFrame:
     """A row a source, and their mean."""
+    rows = rows.reindex(columns=["source", "seconds", "stray", "free", "false", "iou", "ends", "ends_found"])
     parts = rows.groupby("source", sort=False)
     summed = pd.DataFrame(
         {
@@ -145,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         make_output(asked.output)
         rows = [
-            {"source": source, **dict.fromkeys(("free", "false", "iou", "ends", "ends_found"), np.nan)} | row
+            {"source": source} | row
             for source, pictures in sources(asked.data).items()
             for row in measured(asked.network, pictures)
         ]

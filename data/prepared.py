@@ -90,6 +90,11 @@ class PreparedFrame:
         """Take it that nothing touches the tissue, for a reason."""
         self.status, self.detail, self.geometry = "no_contact", detail, None
 
+    def dismiss(self, detail: str) -> None:
+        """Reject a contact that only outlines show, for a reason; no probability of it is left."""
+        self.reject(detail)
+        self.contact_probability, self.undecided = math.nan, False
+
     def accept(self, geometry: FrameGeometry | None) -> None:
         """Take it that an instrument touches the tissue there."""
         self.status, self.detail, self.geometry = "ok", "", geometry

@@ -10,6 +10,7 @@ may have met the tissue: contact is then undecided, and was so in the frame in w
 """
 
 import math
+from collections import deque
 
 import cv2
 import numpy as np
@@ -83,24 +84,16 @@ class ContactEvidence:
         """The frame before, if its tool was found to hover, and the contact that its outlines show."""
         self._last: list[PreparedFrame] = []
         """Frames that a later one may decide anew, the last one at least."""
-        self._touching = 0
-        """Number of frames up to the last one in which outlines touch."""
-        self._quiet = WAITS
-        """Number of frames before these in which none do; many before the first."""
+        self._touching = deque([False] * (WAITS + 1), maxlen=WAITS + 1)
+        """Whether outlines touch in the last frames, as far as these were not dismissed."""
 
     def push(self, prepared: PreparedFrame) -> list[PreparedFrame]:
         """Judge the next frame; gives those before it that are decided now."""
-        follows, touching, came = prepared.follows(self._number), prepared.in_contact, self._came
+        follows = prepared.follows(self._number)
+        if follows and prepared.status == "no_tool":
+            self._dismiss_glimpse()
+        self._touching.append(prepared.in_contact)
         self.judge(prepared)
-        if touching:
-            self._touching = self._touching + 1 if follows else 1
-        else:
-            glimpsed = follows and self._touching == 1 and not came and self._quiet >= WAITS
-            if glimpsed and prepared.status == "no_tool":
-                self._doubt(self._last[-1])
-            elif self._touching:
-                self._quiet = 0
-            self._touching, self._quiet = 0, self._quiet + 1
         probability = prepared.contact_probability
         if follows and not self._came and (probability < THRESHOLD or probability >= CERTAIN):
             for age, earlier in enumerate(reversed(self._last), 1):
@@ -109,12 +102,14 @@ class ContactEvidence:
         self._last = frames[-kept:]
         return frames[:-kept]
 
-    @staticmethod
-    def _doubt(alone: PreparedFrame) -> None:
-        """Reject a contact of one frame amid many without an instrument, if nothing but outlines shows it."""
+    def _dismiss_glimpse(self) -> None:
+        """Dismiss the last frame's contact if outlines touched in it alone of many, and nothing else speaks for it."""
+        if not self._touching[-1] or sum(self._touching) > 1 or self._came:
+            return
+        alone = self._last[-1]
         if alone.in_contact and alone.contact_probability <= PRIOR:
-            alone.reject(GLIMPSED)
-            alone.contact_probability, alone.undecided = math.nan, False
+            alone.dismiss(GLIMPSED)
+            self._touching[-1] = False
 
     def waits(self, prepared: PreparedFrame) -> bool:
         """Return whether a later frame may decide a frame that was judged."""

@@ -200,8 +200,7 @@ class LightContacts:
     def _reject(prepared: PreparedFrame) -> None:
         """Reject a contact that outlines show, and light doesn't."""
         if prepared.in_contact or prepared.hovers:
-            prepared.reject(UNCHANGED)
-            prepared.contact_probability, prepared.undecided = math.nan, False
+            prepared.dismiss(UNCHANGED)
 
     def _compare(self, lit: LitFrame) -> None:
         """Look for a dent around instruments and where they were."""

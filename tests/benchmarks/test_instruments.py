@@ -40,8 +40,7 @@ def measured(folder: Path, found: list[int], drawn: list[int]) -> pd.Series:
         cv2.imwrite(str(picture), np.full((224, 384, 3), bright, np.uint8))
         cv2.imwrite(str(mask), 255 * shaft(length).astype(np.uint8))
         pictures.append((picture, mask))
-    empty = dict.fromkeys(("free", "false", "iou", "ends", "ends_found"), np.nan)
-    rows = [{"source": "drawn", **empty, **row} for row in instruments.measured(Path("x.onnx"), pictures)]
+    rows = [{"source": "drawn", **row} for row in instruments.measured(Path("x.onnx"), pictures)]
     return instruments.table(pd.DataFrame(rows)).iloc[0]
 
 
